@@ -11,7 +11,9 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
 use super::config::{ADAPT_STRENGTH, CollectConfig, Config, ERROR_RATE_OR_NONE, KEEP_LIFT_S};
-use super::daemon::{Boards, CommandRequest, DecisionSettings, EndReason, EngineSetup, GelScale};
+use super::daemon::{
+    Boards, CommandRequest, DecisionSettings, EndReason, EngineSetup, GelForces, GelScale,
+};
 use super::model_choice::chosen_model;
 use crate::note;
 use gripcast_base::error::{Error, Result};
@@ -26,6 +28,7 @@ use gripcast_imaging::{Intrinsics, Role};
 use gripcast_pose::load_intrinsics;
 use gripcast_session::{Command, CommandSource, Labels};
 use gripcast_tactile::SensorProfile;
+use gripcast_tactile::force::{ForceCalibration, ForceEstimator};
 use gripcast_virtual_rig::{VirtualHand, VirtualSource};
 
 /// Capacity of the command queue.
@@ -99,8 +102,12 @@ pub(crate) fn prepare(
              name the file in [cameras.external]"
         );
     }
+    let gels = gel_profiles(&rig)?;
+    let force_calibrations = force_calibrations(&rig)?;
     Ok(EngineSetup {
-        gel_scales: gel_scales(&rig)?,
+        gel_scales: gel_scales(&gels),
+        gel_forces: gel_forces(&gels, &force_calibrations)?,
+        force_calibrations,
         new_dataset: NewDataset {
             name: dataset_name(&dataset),
             rig: rig.id.clone(),
@@ -138,46 +145,95 @@ pub(crate) fn prepare(
     })
 }
 
-/// Returns scale and gel markers of the tactile cameras: of the sensor profile that the rig file
-/// names, else of a generic GelSight Mini where the crop is one of its.
-fn gel_scales(rig: &RigFile) -> Result<BTreeMap<Role, GelScale>> {
-    let mut scales = BTreeMap::new();
+/// Sensor profile of a tactile camera, and whether the rig file names it.
+type GelProfile = (SensorProfile, bool);
+
+/// Returns the sensor profiles of the tactile cameras: those that the rig file names, else that of a
+/// generic GelSight Mini where the crop is one of its.
+fn gel_profiles(rig: &RigFile) -> Result<BTreeMap<Role, GelProfile>> {
+    let mut profiles = BTreeMap::new();
     for (role, camera) in &rig.cameras {
         let Some(crop) = camera.crop_profile.as_deref() else {
             continue;
         };
-        let (profile, is_named) = match &camera.sensor_profile {
-            Some(name) => {
-                let at_camera = |e: Error| e.at(format!("camera {role}"));
-                let profile = SensorProfile::named_or_load(name);
-                let profile = profile.map_err(at_camera)?;
-                if profile.crop_profile.name() != crop {
-                    let what = format!(
-                        "the sensor profile `{}` is for the crop {}, the camera has {crop}",
-                        profile.name,
-                        profile.crop_profile.name()
-                    );
-                    return Err(at_camera(Error::config(what).remedy(
-                        "set `crop_profile` to that of the profile, or choose another",
-                    )));
-                }
-                (profile, true)
+        let Some(name) = &camera.sensor_profile else {
+            let mini = SensorProfile::gelsight_mini()?;
+            if mini.crop_profile.name() == crop {
+                profiles.insert(*role, (mini, false));
             }
-            None => {
-                let mini = SensorProfile::gelsight_mini()?;
-                if mini.crop_profile.name() != crop {
-                    continue;
-                }
-                (mini, false)
-            }
+            continue;
         };
-        let scale = GelScale {
-            m_per_px: profile.geometry.pixel_m,
-            markers: is_named.then_some(profile.markers),
-        };
-        scales.insert(*role, scale);
+        let at_camera = |e: Error| e.at(format!("camera {role}"));
+        let profile = SensorProfile::named_or_load(name).map_err(at_camera)?;
+        if profile.crop_profile.name() != crop {
+            let what = format!(
+                "the sensor profile `{}` is for the crop {}, the camera has {crop}",
+                profile.name,
+                profile.crop_profile.name()
+            );
+            return Err(at_camera(Error::config(what).remedy(
+                "set `crop_profile` to that of the profile, or choose another",
+            )));
+        }
+        profiles.insert(*role, (profile, true));
     }
-    Ok(scales)
+    Ok(profiles)
+}
+
+/// Returns scale and gel markers of the tactile cameras.
+fn gel_scales(profiles: &BTreeMap<Role, GelProfile>) -> BTreeMap<Role, GelScale> {
+    let scale = |(profile, is_named): &GelProfile| GelScale {
+        m_per_px: profile.geometry.pixel_m,
+        markers: is_named.then(|| profile.markers.clone()),
+    };
+    profiles
+        .iter()
+        .map(|(role, gel)| (*role, scale(gel)))
+        .collect()
+}
+
+/// Reads the force calibrations that the rig file names.
+fn force_calibrations(rig: &RigFile) -> Result<BTreeMap<Role, ForceCalibration>> {
+    let mut found = BTreeMap::new();
+    for (role, camera) in &rig.cameras {
+        if let Some(path) = &camera.force_calibration {
+            let calibration = ForceCalibration::load(path)?;
+            if let Some(serial) = &camera.serial
+                && !calibration.serial.is_empty()
+                && *serial != calibration.serial
+            {
+                let what = format!(
+                    "the force calibration is of the sensor {}, the camera {role} is {serial}",
+                    calibration.serial
+                );
+                return Err(Error::config(what)
+                    .at(path.display())
+                    .remedy("run `gripcast calibrate force` for this sensor"));
+            }
+            found.insert(*role, calibration);
+        }
+    }
+    Ok(found)
+}
+
+/// Prepares the force estimators of the tactile cameras. A gel of a size that the model does not know
+/// has none; a calibration that does not fit its sensor is an error.
+fn gel_forces(
+    profiles: &BTreeMap<Role, GelProfile>,
+    calibrations: &BTreeMap<Role, ForceCalibration>,
+) -> Result<GelForces> {
+    let mut forces = GelForces::new();
+    for (role, (profile, _)) in profiles {
+        let calibration = calibrations.get(role);
+        match ForceEstimator::new(profile, calibration) {
+            Ok(estimator) => drop(forces.insert(*role, Arc::new(estimator))),
+            Err(error) if calibration.is_some() => {
+                return Err(error.at(format!("camera {role}")));
+            }
+            Err(_) => {}
+        }
+    }
+    Ok(forces)
 }
 
 /// Loads the intrinsics named by the rig, and those of the external virtual camera.

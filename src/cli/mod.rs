@@ -25,6 +25,7 @@ mod board_detect;
 mod board_make;
 mod calibrate;
 mod calibrate_convert;
+mod calibrate_force;
 mod calibrate_gripper;
 mod calibrate_intrinsics;
 mod calibrate_live;
@@ -180,7 +181,7 @@ enum Command {
     Board(board::Args),
     /// Estimate the gripper pose of collected grasps
     Annotate(annotate::Args),
-    /// Calibrate cameras and gripper tags; convert and inspect intrinsics
+    /// Calibrate cameras, gripper tags and forces; convert and inspect intrinsics
     Calibrate(calibrate::Args),
     /// Predict the stability of recorded grasps, or check a model
     Predict(predict::Args),

@@ -4,6 +4,7 @@
 //! gripcast replay demo --quick --out R              built-in demo with simulated reality
 //! gripcast replay DATASET --objects OBJECTS --out R
 //! gripcast replay DATASET --objects OBJECTS --engine fem --friction 0.4 --stop-force-n 20,40
+//! gripcast replay DATASET --objects OBJECTS --force measured
 //! gripcast replay DATASET --objects OBJECTS --pose-samples 10 --compare OLD/report.json
 //! ```
 //!
@@ -99,6 +100,10 @@ struct SweepFlags {
     /// Closing forces of the rigid engine, comma-separated [default: 5,10,20]
     #[arg(long, value_name = "NEWTON", value_delimiter = ',', value_parser = above_zero)]
     rigid_force_n: Vec<f64>,
+    /// Forces of the engines: those of a list, of which the best is searched, or the one that was
+    /// measured on each grasp
+    #[arg(long, value_enum, value_name = "SOURCE", default_value_t = Forces::Search)]
+    force: Forces,
     /// Gel parameters of the FEM engine
     #[arg(long, value_name = "PRESET", default_value = "paper", value_parser = preset())]
     preset: Preset,
@@ -136,6 +141,15 @@ struct SweepFlags {
     /// Print the report as JSON, without images and curves
     #[arg(long)]
     json: bool,
+}
+
+/// Where the forces of a replay come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Forces {
+    /// `--stop-force-n` and `--rigid-force-n`
+    Search,
+    /// The normal force that is stored with each grasp
+    Measured,
 }
 
 /// Recorded grasps to replay.
@@ -248,6 +262,11 @@ impl SweepFlags {
     }
 
     fn settings(&self) -> Result<ReplaySettings> {
+        let has_list = !(self.stop_force_n.is_empty() && self.rigid_force_n.is_empty());
+        if self.force == Forces::Measured && has_list {
+            let what = "`--force measured` cannot be combined with a list of forces";
+            return Err(Error::usage(what).remedy("omit --stop-force-n and --rigid-force-n"));
+        }
         let unique = |values: &[f64], default: [f64; 3]| {
             let mut unique: Vec<f64> = Vec::new();
             for value in if values.is_empty() { &default } else { values } {
@@ -288,6 +307,7 @@ impl SweepFlags {
             seed: self.seed,
             jobs: self.jobs.count(),
             pose_samples: self.pose_samples,
+            measured_forces: self.force == Forces::Measured,
             sensor,
             view_spp: (!self.no_images).then_some(VIEW_SPP),
         })
@@ -302,7 +322,7 @@ fn replayed(
     progress: &Progress,
 ) -> Result<Option<(Report, PathBuf)>> {
     let old = sweep.compare.as_deref().map(read_report).transpose()?;
-    let settings = sweep.settings()?;
+    let mut settings = sweep.settings()?;
     let dataset = Dataset::open(&source.dataset)?;
     let objects = load_objects(&source.objects)?;
     for object in objects.values().flatten() {
@@ -311,7 +331,22 @@ fn replayed(
         }
     }
     let only = (!source.only.is_empty()).then_some(source.only.as_slice());
-    let recording = Recording::read(&dataset, &objects, only)?;
+    let mut recording = Recording::read(&dataset, &objects, only)?;
+    if settings.measured_forces {
+        let (with_force, median_n) = recording.with_measured_forces()?;
+        recording = with_force;
+        for engine in &mut settings.engines {
+            engine.forces_n = vec![median_n];
+        }
+        let uncalibrated = recording.uncalibrated();
+        if uncalibrated > 0 {
+            progress.line(format!(
+                "{uncalibrated} of {} measured forces are not calibrated with weights; run \
+                 `gripcast calibrate force` before you trust their newtons",
+                recording.grasps.len()
+            ));
+        }
+    }
     for left_out in &recording.left_out {
         progress.line(format!("{}: {}", left_out.grasp, left_out.reason));
     }

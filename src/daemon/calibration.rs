@@ -9,12 +9,15 @@ use gripcast_base::files::ContentKey;
 use gripcast_capture::calibration::{CameraConfig, RigFile, SourceKind};
 use gripcast_dataset::DatasetWriter;
 use gripcast_imaging::{Intrinsics, Role};
+use gripcast_tactile::force::ForceCalibration;
 
 /// Contents of a file in `calibration/`.
 #[derive(Serialize)]
 struct Calibration<'a> {
     camera: &'a CameraConfig,
     intrinsics: Option<&'a Intrinsics>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    force: Option<&'a ForceCalibration>,
 }
 
 /// Stores the calibration of every camera of a rig and returns the content keys.
@@ -25,6 +28,7 @@ pub(super) fn store_calibration(
     writer: &mut DatasetWriter,
     rig: &RigFile,
     intrinsics: &BTreeMap<Role, Intrinsics>,
+    forces: &BTreeMap<Role, ForceCalibration>,
 ) -> Result<BTreeMap<Role, ContentKey>> {
     rig.cameras
         .iter()
@@ -32,6 +36,7 @@ pub(super) fn store_calibration(
             let calibration = Calibration {
                 camera,
                 intrinsics: intrinsics.get(role),
+                force: forces.get(role),
             };
             let text = toml::to_string_pretty(&calibration)
                 .map_err(|e| Error::internal("cannot serialise the calibration").because(e))?;

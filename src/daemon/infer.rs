@@ -18,7 +18,7 @@ use super::gels::GelJudge;
 use super::histogram::LatencyHistogram;
 use super::hub::{Decoded, Hub};
 use super::live_lift::{LiveLift, draw_outline};
-use super::shear::{GelScale, GelTrackers, draw_markers};
+use super::shear::{GelForces, GelScale, GelTrackers, draw_markers};
 use super::status::{
     LiftStatus, LiveMarkers, PredictionStatus, Preview, ShearStatus, verdict_of,
 };
@@ -32,7 +32,7 @@ use gripcast_nn::predict::{
     Adaptation, ConformalLimits, Depth, LivePrediction, LivePredictor, Model, PredictedLabel, Smoothing,
     contact_doubt,
 };
-use gripcast_shear::{GelMotion, MarkerField, ShearFrame};
+use gripcast_shear::{FingerForce, GelMotion, MarkerField, ShearFrame};
 
 /// Gain of the displayed difference.
 const PREVIEW_GAIN: f32 = 1.5;
@@ -83,6 +83,8 @@ pub(super) struct SavedAnalysis {
     pub(super) prediction: Option<PredictionRecord>,
     /// Shear by gel.
     pub(super) shear: BTreeMap<Role, ShearFrame>,
+    /// Force by gel.
+    pub(super) force: BTreeMap<Role, FingerForce>,
 }
 
 /// The model used for predictions.
@@ -158,6 +160,8 @@ pub(super) struct InferenceState {
     pub(super) judge_time: LatencyHistogram,
     /// Shear of each gel, relative to the initial frame of `revision`.
     pub(super) shear: BTreeMap<Role, ShearStatus>,
+    /// Force on each gel, relative to the initial frame of `revision`.
+    pub(super) force: BTreeMap<Role, FingerForce>,
     /// Gel markers in the newest image of each gel that has them.
     pub(super) marker_fields: BTreeMap<Role, LiveMarkers>,
     /// Time to measure the shear of a tactile image, ms.
@@ -216,7 +220,7 @@ impl Inference {
         hub: &Hub,
         model: Option<Model>,
         limits: Option<ConformalLimits>,
-        scales: BTreeMap<Role, GelScale>,
+        (scales, forces): (BTreeMap<Role, GelScale>, GelForces),
         (requests, inbox): (Sender<InferRequest>, Receiver<InferRequest>),
         tasks: &Tasks,
     ) -> Result<Self> {
@@ -231,7 +235,8 @@ impl Inference {
         }));
         let name = info.as_ref().map(|info| info.name.clone());
         let predictor = model.map(LivePredictor::new).transpose()?;
-        let mut worker = Worker::new(hub, predictor.zip(info), scales, &state);
+        let trackers = GelTrackers::new(scales, forces);
+        let mut worker = Worker::new(hub, predictor.zip(info), trackers, &state);
         worker.limits = limits;
         let thread = tasks.spawn("inference", move |heartbeat| worker.run(&inbox, heartbeat))?;
         Ok(Self {
@@ -281,7 +286,7 @@ impl Worker {
     fn new(
         hub: &Hub,
         predictor: Option<(LivePredictor, ModelInfo)>,
-        scales: BTreeMap<Role, GelScale>,
+        trackers: GelTrackers,
         state: &Arc<Mutex<InferenceState>>,
     ) -> Self {
         Self {
@@ -291,7 +296,7 @@ impl Worker {
             adaptation: None,
             initial: BTreeMap::new(),
             gels: GelJudge::default(),
-            trackers: GelTrackers::new(scales),
+            trackers,
             predicting: false,
             has_initial: false,
             smoothing: Smoothing::default(),
@@ -377,6 +382,7 @@ impl Worker {
         let mut state = lock(&self.state);
         state.contact.clear();
         state.shear = self.trackers.unavailable().collect();
+        state.force.clear();
         state.marker_fields.clear();
         state.revision = Some(revision);
     }
@@ -474,7 +480,7 @@ impl Worker {
         }
     }
 
-    /// Measures the shear of a gel, whose image differs from the initial one by `level`, and
+    /// Measures shear and force of a gel, whose image differs from the initial one by `level`, and
     /// returns its markers, if it has them.
     fn measure_shear(
         &mut self,
@@ -488,6 +494,9 @@ impl Worker {
             let motion = GelMotion::new(f64::from(level), &frame);
             self.follow_lift(role, motion, decoded.driver_time_ns);
         }
+        let initial = self.initial.get(&role);
+        let force =
+            initial.and_then(|initial| self.trackers.force(role, initial, &decoded.image, &frame));
         let status = ShearStatus::from(&frame);
         let field = frame.field.map(Arc::new);
         self.hub.tap.json(Topic::Shear, || {
@@ -496,6 +505,7 @@ impl Worker {
                 "role": role,
                 "frame_time_ns": decoded.driver_time_ns,
                 "summary": status.summary,
+                "force": force,
                 "problems": frame.problems,
                 "markers": markers.map(|(values, shape)| MarkerMessage::new(&values, shape)),
             })
@@ -503,6 +513,10 @@ impl Worker {
         let mut state = lock(&self.state);
         state.shear_time.add(started.elapsed().as_secs_f64() * 1e3);
         state.shear.insert(role, status);
+        match force {
+            Some(force) => drop(state.force.insert(role, force)),
+            None => drop(state.force.remove(&role)),
+        }
         match &field {
             Some(field) => {
                 let markers = LiveMarkers {
@@ -581,7 +595,7 @@ impl Worker {
         }
     }
 
-    /// Predicts and measures the shear on the images of a saved grasp, then restores the live ones.
+    /// Predicts and measures shear and force on the images of a saved grasp, then restores the live ones.
     /// The lift begins here.
     fn analyse_saved(
         &mut self,
@@ -597,6 +611,11 @@ impl Worker {
             let level = TactileDifference::between(initial, image).ok()?.mean_abs();
             Some(GelMotion::new(f64::from(level), shear.get(&role)?))
         });
+        let saved_gels: BTreeMap<Role, RgbImage> = images
+            .iter()
+            .filter(|(role, _)| role.is_tactile())
+            .map(|(role, image)| (*role, image.clone()))
+            .collect();
         let prediction = self.predict_saved(images, depth);
         let p_before = prediction.as_ref().map(|record| record.p_stable);
         self.lift = match (motion, p_before) {
@@ -604,7 +623,15 @@ impl Worker {
             _ => None,
         };
         lock(&self.state).lift = None;
-        SavedAnalysis { shear, prediction }
+        let force = shear.iter().filter_map(|(role, frame)| {
+            let (initial, image) = (self.initial.get(role)?, saved_gels.get(role)?);
+            Some((*role, self.trackers.force(*role, initial, image, frame)?))
+        });
+        SavedAnalysis {
+            force: force.collect(),
+            shear,
+            prediction,
+        }
     }
 
     fn predict_saved(

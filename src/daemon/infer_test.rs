@@ -13,7 +13,7 @@ fn gel(contact: f32) -> RgbImage {
 fn newest_image_per_camera_is_used_after_pending_requests() {
     let hub = Hub::new([Role::Left], Tap::default());
     let state = Arc::default();
-    let mut worker = Worker::new(&hub, None, BTreeMap::new(), &state);
+    let mut worker = Worker::new(&hub, None, GelTrackers::default(), &state);
     let mut new_images = VecDeque::new();
     let (reply, answer) = std::sync::mpsc::channel();
     let images = BTreeMap::new();
@@ -46,7 +46,7 @@ fn newest_image_per_camera_is_used_after_pending_requests() {
 fn contact_refers_to_the_newest_initial_frame_only() {
     let hub = Hub::new([Role::Left], Tap::default());
     let state = Arc::default();
-    let mut worker = Worker::new(&hub, None, BTreeMap::new(), &state);
+    let mut worker = Worker::new(&hub, None, GelTrackers::default(), &state);
     let show = |worker: &mut Worker, contact: f32, at_ns: u64| {
         let frame = Frame {
             format: PixelFormat::Grey,

@@ -15,7 +15,7 @@ use super::capture::CaptureThreads;
 use super::decode;
 use super::hub::Hub;
 use super::infer::{InferRequest, Inference};
-use super::shear::GelScale;
+use super::shear::{GelForces, GelScale};
 use super::tasks::Tasks;
 use super::thread::lock;
 use gripcast_base::error::{Error, Result};
@@ -31,6 +31,7 @@ use gripcast_imaging::{
 };
 use gripcast_nn::predict::Model;
 use gripcast_tactile::SensorProfile;
+use gripcast_tactile::force::ForceEstimator;
 
 /// Frames that a V4L2 queue holds for a late reader; further ones are lost, as with a driver.
 const QUEUE_FRAMES: u64 = 4;
@@ -121,7 +122,16 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
         markers: None,
     };
     let scales = BTreeMap::from([(Role::Left, scale.clone()), (Role::Right, scale)]);
-    let inference = Inference::start(&hub, Some(model), None, scales, (requests, inbox), &tasks)?;
+    let estimator = Arc::new(ForceEstimator::new(&SensorProfile::gelsight_mini()?, None)?);
+    let forces = GelForces::from([Role::Left, Role::Right].map(|r| (r, Arc::clone(&estimator))));
+    let inference = Inference::start(
+        &hub,
+        Some(model),
+        None,
+        (scales, forces),
+        (requests, inbox),
+        &tasks,
+    )?;
     // This source repeats its frames by design.
     let policy = SupervisionPolicy {
         freeze_after_ns: None,

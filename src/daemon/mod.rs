@@ -41,7 +41,7 @@ pub use infer::ModelInfo;
 pub use report::{
     CameraReport, CollectReport, EndReason, GraspReport, LiftReport, PredictionReport,
 };
-pub use shear::GelScale;
+pub use shear::{GelForces, GelScale};
 pub use start_report::{StartFinding, StartSubject};
 pub(crate) use status::disk_free_bytes;
 pub use status::{

@@ -1,12 +1,16 @@
 //! Shear of the rig's gels: a tracker per gel, started from the initial frame.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use image::{Rgb, RgbImage};
 
 use super::status::ShearStatus;
 use gripcast_imaging::{Role, draw_arrow, draw_line};
-use gripcast_shear::{ExpectedMarkers, MarkerField, MarkerPattern, ShearFrame, ShearTracker};
+use gripcast_shear::{
+    ExpectedMarkers, FingerForce, MarkerField, MarkerPattern, ShearFrame, ShearTracker,
+};
+use gripcast_tactile::force::ForceEstimator;
 
 /// Length of a drawn arrow over the displacement.
 const ARROW_GAIN: f64 = 3.0;
@@ -25,10 +29,14 @@ pub struct GelScale {
     pub markers: Option<Option<MarkerPattern>>,
 }
 
+/// Force estimators by gel; a gel of an unknown sensor has none.
+pub type GelForces = BTreeMap<Role, Arc<ForceEstimator>>;
+
 /// Measures the shear of all gels.
 #[derive(Debug, Default)]
 pub(super) struct GelTrackers {
     scales: BTreeMap<Role, GelScale>,
+    forces: GelForces,
     trackers: BTreeMap<Role, ShearTracker>,
     /// Why a gel has no tracker.
     unavailable: BTreeMap<Role, String>,
@@ -36,9 +44,10 @@ pub(super) struct GelTrackers {
 
 impl GelTrackers {
     /// Gels without a scale are not tracked.
-    pub(super) fn new(scales: BTreeMap<Role, GelScale>) -> Self {
+    pub(super) fn new(scales: BTreeMap<Role, GelScale>, forces: GelForces) -> Self {
         Self {
             scales,
+            forces,
             ..Self::default()
         }
     }
@@ -76,6 +85,18 @@ impl GelTrackers {
     /// Measures an image of about now without becoming the newest.
     pub(super) fn measure(&self, role: Role, image: &RgbImage) -> Option<ShearFrame> {
         Some(self.trackers.get(&role)?.clone().update(image))
+    }
+
+    /// Force on a gel in an image, whose shear was measured; `None` without an estimator, and where
+    /// the image does not fit.
+    pub(super) fn force(
+        &self,
+        role: Role,
+        initial: &RgbImage,
+        image: &RgbImage,
+        shear: &ShearFrame,
+    ) -> Option<FingerForce> {
+        self.forces.get(&role)?.estimate(initial, image, shear).ok()
     }
 
     /// Status of a gel without shear: why.
@@ -153,7 +174,7 @@ mod tests {
             m_per_px: 5.9e-5,
             markers: None,
         };
-        let mut trackers = GelTrackers::new([(Role::Left, scale)].into());
+        let mut trackers = GelTrackers::new([(Role::Left, scale)].into(), GelForces::new());
         assert_eq!(trackers.update(Role::Left, &gel), None);
         trackers.set_initial([(Role::Left, &gel), (Role::Right, &gel)]);
         assert!(trackers.update(Role::Left, &gel).is_some());
@@ -192,7 +213,7 @@ mod tests {
             markers: Some(profile.markers.clone()),
         };
         let scales = [Role::Left, Role::Right].map(|role| (role, scale.clone()));
-        let mut trackers = GelTrackers::new(scales.into());
+        let mut trackers = GelTrackers::new(scales.into(), GelForces::new());
         let initial = [gel(0.0, 0.0, 1), gel(0.0, 0.0, 2)];
         trackers.set_initial([(Role::Left, &initial[0]), (Role::Right, &initial[1])]);
         let mut shear = |role: Role, image: &RgbImage| {

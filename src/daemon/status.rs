@@ -16,7 +16,7 @@ use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::{ChangeKind, GelChange, GelState, Role, TactileDifference};
 use gripcast_nn::predict::{Adaptation, PredictedLabel};
 use gripcast_session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
-use gripcast_shear::{MarkerField, ShearFrame, ShearSummary};
+use gripcast_shear::{FingerForce, MarkerField, ShearFrame, ShearSummary};
 
 /// Snapshot of the engine.
 #[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
@@ -64,6 +64,10 @@ pub struct EngineStatus {
     /// Shear of each gel since the initial frame; absent without one.
     #[serde(default)]
     pub shear: BTreeMap<Role, ShearStatus>,
+    /// Force on each gel since the initial frame; absent without one, and for gels of an unknown
+    /// sensor.
+    #[serde(default)]
+    pub force: BTreeMap<Role, FingerForce>,
     /// Number of grasps by object and outcome, which the API sends separately.
     #[serde(skip)]
     pub objects: Arc<OutcomeCounts>,
@@ -99,6 +103,7 @@ impl EngineStatus {
             objects: Arc::default(),
             gels: BTreeMap::new(),
             shear: BTreeMap::new(),
+            force: BTreeMap::new(),
             previews: BTreeMap::new(),
             marker_fields: BTreeMap::new(),
         }

@@ -272,6 +272,7 @@ impl Worker {
                 let pending = self.pending(&initial)?;
                 let analysis = self.analyse(capture);
                 add_shear(capture, &analysis.shear);
+                capture.force.clone_from(&analysis.force);
                 let prediction = analysis.prediction.map(|record| PredictionRecord {
                     latency_ms: job.latency_ms,
                     ..record
@@ -436,7 +437,7 @@ impl Worker {
         model_image(&mut self.decoder, frame, crop.as_ref())
     }
 
-    /// Predicts and measures the shear on exactly the saved frames, so that both can be reproduced
+    /// Predicts and measures shear and force on exactly the saved frames, so that both can be reproduced
     /// from the files.
     fn analyse(&mut self, capture: &StageCapture) -> SavedAnalysis {
         let images = [Role::Left, Role::Right, Role::Rgb]

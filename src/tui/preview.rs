@@ -15,6 +15,7 @@ use super::state::ScreenState;
 use super::text::{clipped, inset, row, write};
 use crate::daemon::{EngineStatus, ShearStatus};
 use gripcast_imaging::Role;
+use gripcast_shear::FingerForce;
 
 /// Minimum width of an image; otherwise the last cameras are omitted.
 const MIN_COLUMNS: u16 = 16;
@@ -204,20 +205,34 @@ fn caption(shown: Shown, status: &EngineStatus, width: u16, palette: Palette) ->
         .get(&role)
         .filter(|_| shown.is_difference || shown.is_alone);
     let shear = status.shear.get(&role).and_then(ShearStatus::words);
+    let force = status.force.get(&role).map(FingerForce::words);
     let details = match (contact, shear) {
         (Some(contact), shear) => {
-            let full = shear.map(|shear| format!("{kind} · contact {contact:.1} · {shear}"));
+            let touched = format!("{kind} · contact {contact:.1}");
+            let with_force = force.map(|force| format!("{touched} · {force}"));
+            let full = shear.map(|shear| {
+                let before = with_force.as_ref().unwrap_or(&touched);
+                format!("{before} · {shear}")
+            });
+            let full = full.into_iter().chain(with_force);
             let shorter = [
-                format!("{kind} · contact {contact:.1}"),
+                touched,
                 format!(" contact {contact:.1}"),
                 format!(" {contact:.1}"),
             ];
-            full.into_iter().chain(shorter).collect()
+            full.chain(shorter).collect()
         }
-        // Beside its difference, the image of a gel has room for the shear.
-        (None, Some(shear)) if kind.is_empty() => {
-            let bare = shear.replace("shear ", "").replace("slip ", "");
-            vec![format!(" {shear}"), format!(" {bare}"), String::new()]
+        // Beside its difference, the image of a gel has room for force and shear.
+        (None, shear) if kind.is_empty() => {
+            let bare = shear
+                .as_ref()
+                .map(|s| s.replace("shear ", "").replace("slip ", ""));
+            let both = force.as_ref().zip(shear.as_ref());
+            let both = both.map(|(force, shear)| format!("{force} · {shear}"));
+            let words = [both, force, shear, bare].into_iter().flatten();
+            let mut words: Vec<String> = words.map(|words| format!(" {words}")).collect();
+            words.push(String::new());
+            words
         }
         (None, _) => vec![kind.to_owned()],
     };
@@ -444,6 +459,26 @@ mod tests {
         assert_eq!(of(false, false, 40), "left shear 0.42 mm ↘ slip 12 %");
         assert_eq!(of(false, false, 21), "left 0.42 mm ↘ 12 %");
         assert_eq!(of(false, false, 10), "left");
+        let force = FingerForce {
+            normal_n: 12.3,
+            normal_std_n: 2.1,
+            shear_n: None,
+            shear_std_n: None,
+            is_calibrated: true,
+        };
+        sheared.force.insert(Role::Left, force);
+        let of = |is_difference, is_alone, width| told(&sheared, is_difference, is_alone, width);
+        let all = "left 12.3 N ± 2 · shear 0.42 mm ↘ slip 12 %";
+        assert_eq!(of(false, false, 60), all);
+        assert_eq!(of(false, false, 20), "left 12.3 N ± 2");
+        let all = "left difference · contact 8.4 · 12.3 N ± 2 · shear 0.42 mm ↘ slip 12 %";
+        assert_eq!(of(true, true, 80), all);
+        assert_eq!(
+            of(true, true, 50),
+            "left difference · contact 8.4 · 12.3 N ± 2"
+        );
+        sheared.shear.clear();
+        assert_eq!(told(&sheared, false, false, 20), "left 12.3 N ± 2");
     }
 
     #[test]

@@ -6,9 +6,11 @@ use std::process::Command;
 
 use glam::{DMat3, DQuat, DVec3};
 use gripcast_geometry::Pose;
-use gripcast_imaging::{Intrinsics, encode_png_grey8};
+use gripcast_imaging::{Intrinsics, encode_png_grey8, encode_png_rgb};
 use gripcast_pose::synthetic::{ImageConditions, PlacedBoard, render, test_camera};
 use gripcast_pose::{BoardFile, Body, load_intrinsics};
+use gripcast_tactile::force::ForceCalibration;
+use gripcast_tactile::{PressDepth, SensorProfile, TactileRenderer};
 
 use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr, succeed};
@@ -255,4 +257,71 @@ fn images_without_tags_are_reported() {
     assert_eq!(code, 1);
     assert!(message.contains("/proc/nonexistent/tags.toml"), "{message}");
     assert!(!dir.path().join("o.toml").exists());
+}
+
+/// Writes images of an untouched gel and of a ball of 10 mm radius at three depths.
+fn write_presses(dir: &Path) {
+    let profile = SensorProfile::gelsight_mini().unwrap();
+    let mut renderer = TactileRenderer::new(&profile).unwrap();
+    let geometry = renderer.geometry();
+    for (seed, (name, depth_m)) in [("open", -1.0), ("a", 4e-4), ("b", 6e-4), ("c", 1e-3)]
+        .into_iter()
+        .enumerate()
+    {
+        let mut press = PressDepth::untouched(geometry);
+        for (at, depth) in press.depth_m.iter_mut().enumerate() {
+            let (column, row) = (at % geometry.width, at / geometry.width);
+            let [x, y] = geometry.pixel_to_gel_m(column as f64, row as f64);
+            *depth = (depth_m - (x * x + y * y) / 0.02).max(0.0) as f32;
+        }
+        let image = renderer
+            .render(&press, &profile.drift.sample(seed as u64))
+            .unwrap();
+        let png = encode_png_rgb(&image).unwrap();
+        fs::write(dir.join(format!("{name}.png")), png).unwrap();
+    }
+}
+
+#[test]
+fn force_is_calibrated_with_weights() {
+    let dir = tempfile::tempdir().unwrap();
+    write_presses(dir.path());
+    let at = |name: &str| dir.path().join(name).display().to_string();
+    let words = |presses: [&str; 3], forces: &str| {
+        let presses = presses.map(at).join(",");
+        format!(
+            "force --initial {} --press {presses} {forces} --serial A1 --out {}",
+            at("open.png"),
+            at("left.toml")
+        )
+    };
+    // Forces of the ball on a gel of 1 MPa and Poisson's ratio 0.3 by converged finite elements.
+    let rising = ["a.png", "b.png", "c.png"];
+    let shown = json(&succeed(&mut calibrate(&words(
+        rising,
+        "--force-n 2.083,4.417,11.879 --json",
+    ))));
+    let young_pa = shown["young_pa"].as_f64().unwrap();
+    assert!((0.4e6..2e6).contains(&young_pa), "{shown}");
+    let stored = ForceCalibration::load(&dir.path().join("left.toml")).unwrap();
+    assert_eq!((stored.serial.as_str(), stored.presses.len()), ("A1", 3));
+    assert_eq!(stored.young_pa, young_pa);
+
+    let weights = "--weights-g 200,500,1200";
+    let text = String::from_utf8(succeed(&mut calibrate(&words(rising, weights))).stdout).unwrap();
+    assert!(
+        text.contains("MPa") && text.contains("force_calibration"),
+        "{text}"
+    );
+    let falling = ["c.png", "b.png", "a.png"];
+    let (code, text) = failure(&mut calibrate(&words(falling, weights)));
+    assert_eq!(code, 1, "{text}");
+    assert!(text.contains("shows less force"), "{text}");
+    let (code, text) = failure(&mut calibrate(&words(rising, "--weights-g 200,500")));
+    assert_eq!(code, 2, "{text}");
+    assert!(text.contains("3 images"), "{text}");
+    let untouched = ["open.png", "b.png", "c.png"];
+    let (code, text) = failure(&mut calibrate(&words(untouched, weights)));
+    assert_eq!(code, 1, "{text}");
+    assert!(text.contains("no contact"), "{text}");
 }

@@ -83,6 +83,7 @@ fn capture(number: u32, roles: &[Role]) -> StageCapture {
         pre_grasp_frames: Vec::new(),
         fields: Vec::new(),
         shear: BTreeMap::new(),
+        force: BTreeMap::new(),
         pose: None,
         cameras: roles
             .iter()

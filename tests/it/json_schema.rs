@@ -24,7 +24,7 @@ const WITHOUT_SCHEMA: [&str; 1] = ["replay demo"];
 
 /// Objects whose keys are data: objects, operators, models, scenes, roles, parts of a dataset. Those
 /// of files begin with `file`.
-const KEYED_BY_DATA: [&str; 23] = [
+const KEYED_BY_DATA: [&str; 25] = [
     "cameras",
     "file.calibration",
     "file.cameras",
@@ -34,11 +34,13 @@ const KEYED_BY_DATA: [&str; 23] = [
     "file.grasp.cameras.{}.controls",
     "file.grasp.fields",
     "file.grasp.fields.{}",
+    "file.grasp.force",
     "file.grasp.shear",
     "file.initial.cameras",
     "file.initial.cameras.{}.controls",
     "file.initial.fields",
     "file.initial.fields.{}",
+    "file.initial.force",
     "file.initial.shear",
     "file.lift.cameras",
     "file.splits",

@@ -228,6 +228,80 @@ fn excluded_grasps_give_exit_code_3() {
     );
 }
 
+/// `replay` with the measured forces, rigid engine only.
+fn replay_measured(dataset: &Path, objects: &Path, out: &Path) -> Output {
+    let mut command = gripcast();
+    command
+        .arg("replay")
+        .arg(dataset)
+        .arg("--objects")
+        .arg(objects);
+    command.args([
+        "--engine",
+        "rigid",
+        "--rigid-friction",
+        "0.4",
+        "--resolution",
+        "32",
+    ]);
+    command
+        .args(["--force", "measured", "--no-images", "--out"])
+        .arg(out);
+    command.output().unwrap()
+}
+
+#[test]
+fn measured_forces_replace_the_search() {
+    let dir = tempfile::tempdir().unwrap();
+    let (dataset, objects) = (annotated_dataset(dir.path()), objects(dir.path()));
+    let ids: Vec<String> = grasps(&dataset).into_keys().collect();
+    let force = |normal_n: f64| {
+        let of_gel = |n: f64| {
+            json!({
+                "normal_n": n,
+                "normal_std_n": 1.0,
+                "shear_n": null,
+                "shear_std_n": null,
+                "is_calibrated": true,
+            })
+        };
+        json!({"left": of_gel(normal_n - 1.0), "right": of_gel(normal_n + 1.0)})
+    };
+    for (id, normal_n) in ids.iter().zip([8.0, 14.0]) {
+        change(&dataset, id, |record| {
+            record["grasp"]["force"] = force(normal_n)
+        });
+    }
+    change(&dataset, &ids[2], |record| {
+        record["grasp"].as_object_mut().unwrap().remove("force");
+    });
+    let out = dir.path().join("out");
+    let output = replay_measured(&dataset, &objects, &out);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    let report = report(&out);
+    assert_eq!(report["engines"][0]["forces_n"], json!([11.0]));
+    let of_grasps = report["grasps"].as_array().unwrap().iter();
+    let used: Vec<f64> = of_grasps
+        .map(|grasp| grasp["replays"][0]["cells"][0]["force_n"].as_f64().unwrap())
+        .collect();
+    assert_eq!(used, [8.0, 14.0]);
+    let reason = report["left_out"][0]["reason"].as_str().unwrap();
+    assert!(reason.contains("no measured force"), "{reason}");
+
+    for id in &ids {
+        change(&dataset, id, |record| {
+            record["grasp"].as_object_mut().unwrap().remove("force");
+        });
+    }
+    let output = replay_measured(&dataset, &objects, &dir.path().join("none"));
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("no grasp has a measured force"), "{text}");
+    let more = ["--force", "measured"];
+    let output = replay(&dataset, &objects, &out, &more).output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+}
+
 #[test]
 fn invalid_arguments_are_explained() {
     let dir = tempfile::tempdir().unwrap();

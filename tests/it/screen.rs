@@ -150,6 +150,7 @@ fn waiting_for_grasp() -> EngineStatus {
         contact: BTreeMap::from([(Role::Left, 8.4), (Role::Right, 8.4)]),
         gels: BTreeMap::new(),
         shear: BTreeMap::new(),
+        force: BTreeMap::new(),
         marker_fields: BTreeMap::new(),
         previews: BTreeMap::from([
             (Role::Left, preview(true)),
@@ -599,7 +600,7 @@ prop_compose! {
             grasps_left: disk.map(|free| free / 1_300_000),
             target_per_object: 20, objects: Arc::default(), start_report: report,
             contact: contact.into_iter().collect(),
-            adaptation: None, gels: BTreeMap::new(), shear: BTreeMap::new(), marker_fields: BTreeMap::new(),
+            adaptation: None, gels: BTreeMap::new(), shear: BTreeMap::new(), force: BTreeMap::new(), marker_fields: BTreeMap::new(),
             session, cameras, prediction,
             lift: None,
             no_prediction_reason: absent,

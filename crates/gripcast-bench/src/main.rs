@@ -14,6 +14,11 @@ mod contact_scene;
 mod dataset;
 mod depth_scene;
 mod early_end;
+mod force_figures;
+mod force_fit;
+mod force_model;
+mod force_presses;
+mod force_samples;
 mod grasp;
 mod grasp_cases;
 mod live;
@@ -56,6 +61,8 @@ enum Bench {
     Dataset(dataset::Args),
     /// Lifts that end once their outcome is certain
     EarlyEnd(early_end::Args),
+    /// Fits the force model to simulated presses and measures it on held-out ones
+    ForceModel(force_model::Args),
     /// Simulated grasps: time, steps, Newton iterations, outcomes
     Grasp(grasp::Args),
     /// `gripcast bench live` with baseline decoders
@@ -82,6 +89,7 @@ fn main() -> ExitCode {
         Bench::Contact(args) => contact::run(&context, &args),
         Bench::EarlyEnd(args) => early_end::run(&context, &args),
         Bench::Dataset(args) => dataset::run(&context, &args),
+        Bench::ForceModel(args) => force_model::run(&context, args),
         Bench::Grasp(args) => grasp::run(&context, args),
         Bench::Live(args) => live::run(&context, &args),
         Bench::Pose(args) => pose::run(&context, &args),

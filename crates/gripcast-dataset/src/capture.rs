@@ -16,7 +16,7 @@ use super::prediction::PredictionRecord;
 use gripcast_base::error::Result;
 use gripcast_base::files::{ContentKey, FieldName, FileName, Label, ObjectName};
 use gripcast_imaging::{Frame, JpegRepairs, Role, valid_depth_fraction};
-use gripcast_shear::ShearSummary;
+use gripcast_shear::{FingerForce, ShearSummary};
 
 /// One camera's frame with its stored metadata.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,6 +59,8 @@ pub struct StageCapture {
     pub fields: Vec<FieldArray>,
     /// Shear by gel. One with a number that is not finite is not stored: it must not stop the save.
     pub shear: BTreeMap<Role, ShearSummary>,
+    /// Force by gel. One with a number that is not finite is not stored.
+    pub force: BTreeMap<Role, FingerForce>,
     /// Gripper pose in the object's frame, where the pre-grasp frames give one.
     pub pose: Option<Box<PoseRecord>>,
     /// Ground truth of a virtual rig at these frames.
@@ -149,7 +151,8 @@ impl StageCapture {
                 skew_ms: skew_ms(cameras.values()),
                 cameras,
                 fields,
-                shear: finite(&self.shear),
+                shear: finite(&self.shear, ShearSummary::is_finite),
+                force: finite(&self.force, FingerForce::is_finite),
             },
             contents,
             files,
@@ -180,9 +183,10 @@ impl CapturedCamera {
     }
 }
 
-fn finite(shear: &BTreeMap<Role, ShearSummary>) -> BTreeMap<Role, ShearSummary> {
-    let finite = shear.iter().filter(|(_, shear)| shear.is_finite());
-    finite.map(|(role, shear)| (*role, *shear)).collect()
+/// The values without those that JSON cannot hold.
+fn finite<T: Copy>(values: &BTreeMap<Role, T>, is_finite: fn(&T) -> bool) -> BTreeMap<Role, T> {
+    let finite = values.iter().filter(|(_, value)| is_finite(value));
+    finite.map(|(role, value)| (*role, *value)).collect()
 }
 
 /// Largest difference between the driver times, ms.

@@ -66,6 +66,7 @@ fn fields_and_lift_are_read_as_they_were_written() {
     assert_eq!(described.columns[2], "dx_px");
     assert_eq!(described.m_per_px, Some(2.9e-5));
     assert_eq!(record.grasp.shear, expected.shear);
+    assert_eq!(record.grasp.force, expected.force);
     let missing = dataset.field(&record, Stage::Grasp, Role::Right, MARKERS);
     assert_eq!(missing.unwrap_err().kind(), ErrorKind::NotFound);
 

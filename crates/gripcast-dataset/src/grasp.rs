@@ -16,7 +16,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ContentKey, FieldName, FileName, GraspId, Label, ObjectName};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{JpegRepairs, PixelFormat, Role};
-use gripcast_shear::ShearSummary;
+use gripcast_shear::{FingerForce, ShearSummary};
 
 /// Tolerance of a unit quaternion's norm.
 const UNIT_TOLERANCE: f64 = 1e-3;
@@ -180,6 +180,9 @@ pub struct StageRecord {
     /// Shear by gel, where it was measured.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub shear: BTreeMap<Role, ShearSummary>,
+    /// Force by gel, where it was estimated.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub force: BTreeMap<Role, FingerForce>,
 }
 
 impl StageRecord {

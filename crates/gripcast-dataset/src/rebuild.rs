@@ -52,6 +52,7 @@ pub(super) fn rebuild(
             cameras: BTreeMap::new(),
             fields: BTreeMap::new(),
             shear: BTreeMap::new(),
+            force: BTreeMap::new(),
         });
         record.cameras = cameras(dir, stage, &record.cameras, &mut files);
         for fields in record.fields.values_mut() {

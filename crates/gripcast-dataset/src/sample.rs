@@ -11,7 +11,7 @@ use super::descriptor::NewDataset;
 use super::field::FieldArray;
 use super::prediction::PredictionRecord;
 use gripcast_imaging::{Frame, PixelFormat, Role};
-use gripcast_shear::{ShearSource, ShearSummary};
+use gripcast_shear::{FingerForce, ShearSource, ShearSummary};
 
 /// Description of a new dataset.
 pub fn new_dataset() -> NewDataset {
@@ -76,6 +76,7 @@ pub fn capture(number: u32) -> StageCapture {
         truth: None,
         fields: Vec::new(),
         shear: BTreeMap::new(),
+        force: BTreeMap::new(),
         pre_grasp_frames: Vec::new(),
         pose: None,
         cameras: BTreeMap::from([
@@ -109,7 +110,7 @@ pub fn capture(number: u32) -> StageCapture {
     }
 }
 
-/// As [`capture`], with the markers and the shear of the left gel.
+/// As [`capture`], with the markers, the shear and the force of the left gel.
 pub fn capture_with_fields(number: u32) -> StageCapture {
     let values = (0..2 * 3 * 5).map(|i| i as f32 + number as f32 / 8.0);
     let field = FieldArray::markers(Role::Left, values.collect(), [2, 3, 5], 2.9e-5).unwrap();
@@ -124,9 +125,17 @@ pub fn capture_with_fields(number: u32) -> StageCapture {
         contact_fraction: 0.25,
         slip_ratio: None,
     };
+    let force = FingerForce {
+        normal_n: 12.5,
+        normal_std_n: 1.25,
+        shear_n: Some([0.5, -0.75]),
+        shear_std_n: Some(0.25),
+        is_calibrated: true,
+    };
     StageCapture {
         fields: vec![field],
         shear: BTreeMap::from([(Role::Left, shear)]),
+        force: BTreeMap::from([(Role::Left, force)]),
         ..capture(number)
     }
 }

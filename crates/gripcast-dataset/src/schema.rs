@@ -3,7 +3,7 @@
 //! | version | added |
 //! | --- | --- |
 //! | 1 | |
-//! | 2 | `fields` and `shear` of a stage, `lift` of a grasp |
+//! | 2 | `fields`, `shear` and `force` of a stage, `lift` of a grasp |
 //!
 //! A record of an earlier version is a valid one of this version, so records are not rewritten; only
 //! `dataset.toml` is, before the first record of this version.

@@ -234,6 +234,7 @@ impl Arguments<'_, '_> {
             pre_grasp_frames: Vec::new(),
             fields: Vec::new(),
             shear: BTreeMap::new(),
+            force: BTreeMap::new(),
             pose: None,
             truth: None,
         })

@@ -32,7 +32,7 @@ pub use demo::{DemoData, DemoProgress, DemoSettings, DemoStage, DemoWatch, build
 pub use grasp_chart::plot;
 pub use html::page;
 pub use object_file::{ObjectFile, ReplayObject, load_objects};
-pub use recording::{RecordedGrasp, Recording};
+pub use recording::{MeasuredForce, RecordedGrasp, Recording};
 pub use report::{
     CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts,
     EngineComparison, EngineFacts, ExcludedGrasp, GraspCell, GraspFacts, GraspReplay, ImagePair,

@@ -13,6 +13,7 @@ use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_base::files::{ContentKey, ObjectName, hex};
 use gripcast_base::linear::Cholesky;
 use gripcast_base::random::SeedStream;
+use gripcast_base::statistics::median;
 use gripcast_dataset::{Dataset, GraspRecord, Outcome};
 use gripcast_geometry::{MeshQuery, Pose};
 use gripcast_pose::{BoardFile, PrintedSheet};
@@ -38,6 +39,31 @@ pub struct RecordedGrasp {
     pub covariance: Option<[[f64; 6]; 6]>,
     /// Setup before the fingers close.
     pub setup: GraspSetup,
+}
+
+/// Minimum normal force that a grasp can be replayed with, N.
+const MIN_FORCE_N: f64 = 0.5;
+
+/// Normal force that was measured on a grasp.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredForce {
+    /// Mean of the gels, N.
+    pub normal_n: f64,
+    /// Whether known weights calibrated all of their sensors.
+    pub is_calibrated: bool,
+}
+
+impl MeasuredForce {
+    /// The force in a record: the mean of both gels, else that of the only one that has it.
+    #[must_use]
+    pub fn of(record: &GraspRecord) -> Option<Self> {
+        let forces = &record.grasp.force;
+        let sum: f64 = forces.values().map(|force| force.normal_n).sum();
+        (!forces.is_empty()).then(|| Self {
+            normal_n: sum / forces.len() as f64,
+            is_calibrated: forces.values().all(|force| force.is_calibrated),
+        })
+    }
 }
 
 /// The replayable grasps of a dataset.
@@ -98,6 +124,62 @@ impl Recording {
             left_out,
             total: ids.len() - other_objects,
         })
+    }
+}
+
+impl Recording {
+    /// Keeps the grasps whose force was measured and returns their median force, N; the others are
+    /// left out with the reason.
+    ///
+    /// # Errors
+    /// `Input` if no grasp has a measured force.
+    pub fn with_measured_forces(mut self) -> Result<(Self, f64)> {
+        let mut forces = Vec::new();
+        let mut kept = Vec::new();
+        for grasp in std::mem::take(&mut self.grasps) {
+            let found = MeasuredForce::of(&grasp.record);
+            let reason = match found {
+                Some(force) if force.normal_n >= MIN_FORCE_N => {
+                    forces.push(force.normal_n);
+                    kept.push(grasp);
+                    continue;
+                }
+                Some(force) => format!(
+                    "its measured force of {:.2} N is below {MIN_FORCE_N} N",
+                    force.normal_n
+                ),
+                None => "it has no measured force".to_owned(),
+            };
+            self.left_out.push(ExcludedGrasp {
+                grasp: grasp.record.id.to_string(),
+                object: grasp.record.object.to_string(),
+                reason,
+            });
+        }
+        let Some(median_n) = median(forces.iter().copied()) else {
+            let first = self.left_out.first();
+            let first = first.map_or(String::new(), |l| format!("; {}: {}", l.grasp, l.reason));
+            return Err(Error::input(format!("no grasp has a measured force{first}")).remedy(
+                "forces are stored by `collect` and `daemon` with a GelSight Mini; replay older \
+                 grasps without `--force measured`",
+            ));
+        };
+        self.sha256 = hash(&kept)?;
+        self.grasps = kept;
+        Ok((self, median_n))
+    }
+
+    /// Number of grasps whose measured force is not calibrated with known weights.
+    #[must_use]
+    pub fn uncalibrated(&self) -> usize {
+        let forces = self
+            .grasps
+            .iter()
+            .map(|grasp| MeasuredForce::of(&grasp.record));
+        forces
+            .flatten()
+            .filter(|force| !force.is_calibrated)
+            .count()
     }
 }
 

@@ -194,6 +194,7 @@ fn bench() -> Bench {
 
 fn settings(engines: Vec<EngineSweep>) -> ReplaySettings {
     ReplaySettings {
+        measured_forces: false,
         engines,
         seed: 1,
         jobs: 2,

@@ -9,7 +9,7 @@ use std::time::Instant;
 use super::camera_view::{ViewSettings, object_image, view_pair};
 use super::case::{Case, CaseRecord, CaseStore};
 use super::object_file::ReplayObject;
-use super::recording::{RecordedGrasp, Recording};
+use super::recording::{MeasuredForce, RecordedGrasp, Recording};
 use super::report::{
     Cost, DatasetFacts, EngineComparison, EngineFacts, ExcludedGrasp, GraspCell, GraspFacts,
     GraspReplay, ImagePair, ObjectFacts, PoseSamples, REPORT_FORMAT, REPORT_VERSION, Reality,
@@ -49,6 +49,9 @@ pub struct ReplaySettings {
     pub jobs: usize,
     /// Number of poses drawn from each covariance, at the chosen setting.
     pub pose_samples: usize,
+    /// Whether each grasp is simulated with the force that was measured on it, instead of
+    /// [`EngineSweep::forces_n`], which then has one force: the median, for the tables.
+    pub measured_forces: bool,
     /// Profile of the simulated sensors.
     pub sensor: SensorProfile,
     /// Samples per pixel of the camera views; none for a report without images.
@@ -157,6 +160,11 @@ fn object<'a>(input: &ReplayInput<'a>, grasp: &RecordedGrasp) -> Result<&'a Repl
         .ok_or_else(|| Error::internal(format!("{} has no object", grasp.record.id)))
 }
 
+fn measured_force(grasp: &RecordedGrasp) -> Result<MeasuredForce> {
+    let force = MeasuredForce::of(&grasp.record);
+    force.ok_or_else(|| Error::internal(format!("{} has no measured force", grasp.record.id)))
+}
+
 /// Returns all cases, by engine, grasp and setting.
 fn all_cases<'a>(input: &ReplayInput<'a>, settings: &'a ReplaySettings) -> Result<Vec<Case<'a>>> {
     let mut cases = Vec::new();
@@ -165,13 +173,17 @@ fn all_cases<'a>(input: &ReplayInput<'a>, settings: &'a ReplaySettings) -> Resul
             let object = object(input, grasp)?;
             for friction in &sweep.frictions {
                 for force_n in &sweep.forces_n {
+                    let force_n = match settings.measured_forces {
+                        true => measured_force(grasp)?.normal_n,
+                        false => *force_n,
+                    };
                     cases.push(Case {
                         engine: sweep.engine.as_ref(),
                         setup: grasp.setup.clone(),
                         object,
                         setting: Setting {
                             friction: *friction,
-                            force_n: *force_n,
+                            force_n,
                         },
                     });
                 }
@@ -384,11 +396,18 @@ impl<'a> CompletedReplay<'a> {
         let engines = self.settings.engines.iter().zip(&self.scored);
         engines
             .map(|(sweep, scored)| {
+                let mut parameters = sweep.engine.parameters()?;
+                if let (true, Some(all)) =
+                    (self.settings.measured_forces, parameters.as_object_mut())
+                {
+                    let source = "measured on each grasp; the listed force is their median";
+                    all.insert("force_n".to_owned(), source.into());
+                }
                 Ok(EngineFacts {
                     name: sweep.engine.kind().name().to_owned(),
                     frictions: sweep.frictions.clone(),
                     forces_n: sweep.forces_n.clone(),
-                    parameters: sweep.engine.parameters()?,
+                    parameters,
                     scores: scored.scores.clone(),
                     without_outcome: scored.agrees.iter().filter(|a| a.is_none()).count(),
                 })

@@ -20,6 +20,7 @@ mod association;
 mod contact;
 mod darkness;
 mod dots;
+mod force;
 mod gel_motion;
 mod lattice;
 mod marker;
@@ -33,6 +34,7 @@ mod tracker;
 #[cfg(test)]
 mod tracker_test;
 
+pub use force::FingerForce;
 pub use gel_motion::{GelMotion, LiftMotion};
 pub use marker::{GelMarker, MarkerField, MarkerPattern};
 pub use problem::ShearProblem;

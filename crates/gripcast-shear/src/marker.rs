@@ -73,6 +73,24 @@ impl MarkerField {
         (marker.confidence > 0.0).then_some(marker)
     }
 
+    /// Median distance of neighbouring gel markers at rest along x and y, px; `None` without two
+    /// neighbours along each.
+    #[must_use]
+    pub fn pitch_px(&self) -> Option<[f32; 2]> {
+        let rest = |at: usize| self.markers.get(at)?.as_ref().map(|m| m.rest_px);
+        let median = |mut distances: Vec<f32>| {
+            distances.sort_by(f32::total_cmp);
+            distances.get(distances.len() / 2).copied()
+        };
+        let between = |step: usize, axis: usize| {
+            let pairs = (0..self.markers.len())
+                .filter(|at| step == self.columns || (at + 1) % self.columns.max(1) != 0);
+            let distance = |at: usize| Some((rest(at + step)?[axis] - rest(at)?[axis]).abs());
+            median(pairs.filter_map(distance).collect())
+        };
+        Some([between(1, 0)?, between(self.columns, 1)?])
+    }
+
     /// Gradient of the displacement (u, v) at a lattice point, by least squares over the gel marker
     /// and its up to eight neighbours: [[∂u/∂x, ∂u/∂y], [∂v/∂x, ∂v/∂y]]. `None` where too few of
     /// them are tracked.

@@ -18,6 +18,7 @@ mod bessel;
 pub mod calibrate;
 mod contact_gap;
 mod depth;
+pub mod force;
 mod gaussian;
 mod gel_surface;
 mod led;

@@ -18,6 +18,8 @@ use gripcast_dataset::{Dataset, GraspIndex, LiftFrame, Outcome, Stage};
 use gripcast_imaging::{Frame, PixelFormat};
 use gripcast_nn::predict::Adaptation;
 use gripcast_session::{Command, CommandResult, CommandSource};
+use gripcast_tactile::SensorProfile;
+use gripcast_tactile::force::ForceEstimator;
 
 const WIDTH: u32 = 640;
 const HEIGHT: u32 = 480;
@@ -118,6 +120,15 @@ const GEL: GelScale = GelScale {
     markers: None,
 };
 
+/// Uncalibrated estimators of both gels.
+fn gel_forces() -> GelForces {
+    let profile = SensorProfile::gelsight_mini().unwrap();
+    let estimator = Arc::new(ForceEstimator::new(&profile, None).unwrap());
+    [Role::Left, Role::Right]
+        .map(|role| (role, Arc::clone(&estimator)))
+        .into()
+}
+
 fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
     let mut rig = RigFile::virtual_rig();
     rig.cameras.retain(|role, _| role.is_tactile());
@@ -128,6 +139,8 @@ fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
         rig,
         intrinsics: BTreeMap::new(),
         gel_scales: [Role::Left, Role::Right].map(|role| (role, GEL)).into(),
+        gel_forces: gel_forces(),
+        force_calibrations: BTreeMap::new(),
         supervision: SupervisionPolicy {
             freeze_after_ns: None,
             ..SupervisionPolicy::default()
@@ -299,6 +312,8 @@ async fn engine_saves_and_predicts_with_yuyv_cameras() {
         let [x, y] = record.grasp.shear[&role].mean_displacement_mm;
         let expected = f64::from(SHIFT_PX) * MM_PER_PX;
         assert!((x - expected).abs() < 0.02 && y.abs() < 0.02, "{x} {y}");
+        let force = &record.grasp.force[&role];
+        assert!(force.normal_n > 0.0 && force.is_finite() && !force.is_calibrated);
         let markers = &record.grasp.fields[&role];
         assert_eq!(markers.len(), 1);
         assert!(markers.values().all(|field| field.shape[2] == 5));

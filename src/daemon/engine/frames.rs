@@ -165,6 +165,7 @@ impl Engine {
                 .collect(),
             fields: Vec::new(),
             shear: BTreeMap::new(),
+            force: BTreeMap::new(),
             pose: pre_grasp.pose.map(Box::new),
             truth: hand.map(|hand| Box::new(hand.truth(gel_ns))),
         };

@@ -34,7 +34,7 @@ use super::pre_grasp::PreGraspRecorder;
 use super::report::{
     CollectReport, EndReason, GraspReport, PredictionReport, camera_report, cameras_json,
 };
-use super::shear::GelScale;
+use super::shear::{GelForces, GelScale};
 use super::start_report::{StartFinding, StartSubject};
 use super::status::{EngineStatus, disk_free_bytes};
 use super::store::{Store, StoreMessage};
@@ -50,6 +50,7 @@ use gripcast_nn::predict::Model;
 use gripcast_session::{
     GuardLimits, Labels, OutcomeCounts, Session, Step, StoreReply, StoreRequest, Tone,
 };
+use gripcast_tactile::force::ForceCalibration;
 use gripcast_virtual_rig::{HandTarget, VirtualHand};
 
 /// Interval of status updates and script steps.
@@ -66,6 +67,10 @@ pub struct EngineSetup {
     pub intrinsics: BTreeMap<Role, Intrinsics>,
     /// Scale and gel markers of the tactile cameras where they are known.
     pub gel_scales: BTreeMap<Role, GelScale>,
+    /// Force estimators of the tactile cameras.
+    pub gel_forces: GelForces,
+    /// Force calibrations of the tactile cameras that have one.
+    pub force_calibrations: BTreeMap<Role, ForceCalibration>,
     /// Camera openers.
     pub openers: Vec<Box<dyn CameraOpener>>,
     /// Camera supervision.

@@ -141,6 +141,7 @@ impl Engine {
             objects: Arc::clone(&self.objects),
             gels: self.gels(&state),
             shear: state.shear.clone(),
+            force: state.force.clone(),
             marker_fields: state.marker_fields.clone(),
             previews: state.previews.clone(),
         }

@@ -42,7 +42,12 @@ impl Engine {
         });
         let (mut writer, opened) = DatasetWriter::open_index(setup.index, &setup.new_dataset)?;
         let newest_source = newest_source(&newest_source_of, &opened.provenance);
-        let calibration = store_calibration(&mut writer, &setup.rig, &setup.intrinsics)?;
+        let calibration = store_calibration(
+            &mut writer,
+            &setup.rig,
+            &setup.intrinsics,
+            &setup.force_calibrations,
+        )?;
         let model = setup.model.as_ref().map(ModelInfo::new);
         if let Some(model) = &model {
             writer.put_model(&model_card(model)?)?;
@@ -74,7 +79,7 @@ impl Engine {
             &hub,
             setup.model,
             limits,
-            setup.gel_scales,
+            (setup.gel_scales, setup.gel_forces),
             infer_channel,
             &links.tasks,
         )?;

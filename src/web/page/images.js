@@ -8,7 +8,7 @@
 import { address } from "./api.js";
 import { openSensors } from "./cameras.js";
 import { button, byId, make, refill, say, style } from "./dom.js";
-import { deliversFrames, isFault, rates, shearWords, stateWords, problems } from "./words.js";
+import { deliversFrames, forceWords, isFault, rates, shearWords, stateWords, problems } from "./words.js";
 
 const STILL_FETCHERS = 2;
 /** Minimum interval between two images of a camera; the server makes ten per second, ms. */
@@ -65,13 +65,14 @@ export class Images {
   }
 
   /** @param {Camera} camera @param {State} state */
-  caption(camera, { contact, gels, shear }) {
+  caption(camera, { contact, force, gels, shear }) {
     const tile = this.tiles.get(camera.role);
     if (!tile) return;
     const touch = isGel(camera.role) ? contact?.[/** @type {"left"|"right"} */ (camera.role)] : null;
     const messages = (isGel(camera.role) && gels?.[/** @type {"left"|"right"} */ (camera.role)]?.messages) || [];
     const moved = isGel(camera.role) ? shear?.[/** @type {"left"|"right"} */ (camera.role)] : undefined;
-    const words = [typeof touch === "number" ? `contact ${touch.toFixed(1)}` : "", shearWords(moved)].filter(Boolean).join(" · ");
+    const pressed = isGel(camera.role) ? force?.[/** @type {"left"|"right"} */ (camera.role)] : undefined;
+    const words = [typeof touch === "number" ? `contact ${touch.toFixed(1)}` : "", forceWords(pressed), shearWords(moved)].filter(Boolean).join(" · ");
     const all = [...messages, ...(moved?.messages ?? [])];
     refill(tile.health, [camera, words, all], () => health(camera, words, all));
     const delivers = deliversFrames(camera);

@@ -76,6 +76,13 @@
  * @property {{confidence: number, mean_displacement_mm: [number, number], slip_ratio: number|null}|null} summary
  * @property {string[]} messages
  *
+ * @typedef {object} Force on a gel since the initial frame
+ * @property {number} normal_n
+ * @property {number} normal_std_n
+ * @property {[number, number]|null} shear_n
+ * @property {number|null} shear_std_n
+ * @property {boolean} is_calibrated whether known weights calibrated the sensor
+ *
  * @typedef {object} Gel
  * @property {string[]} problems
  * @property {string[]} messages a sentence with remedy for each problem
@@ -104,6 +111,7 @@
  * @property {{left?: number, right?: number}} contact
  * @property {{left?: Gel, right?: Gel}} [gels]
  * @property {{left?: Shear, right?: Shear}} [shear]
+ * @property {{left?: Force, right?: Force}} [force]
  *
  * @typedef {object} CommandResponse
  * @property {"accepted"|"refused"|"failed"} result

@@ -1,7 +1,7 @@
 /**
  * Texts of the page, the same as on the terminal screen. No DOM access.
  *
- * @import {Camera, Counts, Outcome, Predicted, Prediction, Refusal, Session, Shear, State, Step} from "./types.js"
+ * @import {Camera, Counts, Force, Outcome, Predicted, Prediction, Refusal, Session, Shear, State, Step} from "./types.js"
  */
 
 /** Frame age above which a prediction is shown as old, ms. */
@@ -264,6 +264,14 @@ export function problems(camera) {
   const words = counters.filter(([count]) => count).map(([count, word]) => `${count} ${word}`);
   if (camera.markers && !camera.markers.ok) words.push(`no pose: ${camera.markers.text}`);
   return words.join(" ");
+}
+
+/** The normal force in a few words, `12.3 N ± 2`; empty where nothing is known. @param {Force} [force] */
+export function forceWords(force) {
+  if (!force) return "";
+  const { normal_n: newtons, normal_std_n: deviation, is_calibrated: isCalibrated } = force;
+  const about = deviation < 0.95 ? deviation.toFixed(1) : deviation.toFixed(0);
+  return `${newtons.toFixed(1)} N ± ${about}${isCalibrated ? "" : " uncalibrated"}`;
 }
 
 /** Confidence below which a shear is shown as uncertain. */

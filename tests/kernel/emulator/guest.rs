@@ -103,6 +103,7 @@ fn camera(
         fps,
         crop_profile: None,
         sensor_profile: None,
+        force_calibration: None,
         depth_unit_m: None,
         intrinsics: None,
         controls: [].into(),

@@ -105,6 +105,9 @@ pub struct CameraConfig {
     /// Sensor profile of a tactile camera: a shipped name, or a file; says which gel it has.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor_profile: Option<String>,
+    /// Force calibration of a tactile camera's sensor, from known weights.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_calibration: Option<PathBuf>,
     /// Depth unit of a depth camera, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_unit_m: Option<f64>,
@@ -156,6 +159,7 @@ impl CameraConfig {
             fps,
             crop_profile: None,
             sensor_profile: None,
+            force_calibration: None,
             depth_unit_m: None,
             intrinsics: None,
             controls: BTreeMap::new(),
@@ -303,6 +307,7 @@ impl RigFile {
         let resolve = |file: &mut PathBuf| *file = directory.join(&*file);
         for camera in rig.cameras.values_mut() {
             let files = camera.path.iter_mut().chain(&mut camera.intrinsics);
+            let files = files.chain(&mut camera.force_calibration);
             files.for_each(resolve);
             if let Some(profile) = &mut camera.sensor_profile
                 && (profile.contains('/') || profile.ends_with(".toml"))
@@ -448,6 +453,11 @@ impl CameraConfig {
         if !role.is_tactile() && self.sensor_profile.is_some() {
             return Err(Error::config(
                 "`sensor_profile` is only for the roles left and right",
+            ));
+        }
+        if !role.is_tactile() && self.force_calibration.is_some() {
+            return Err(Error::config(
+                "`force_calibration` is only for the roles left and right",
             ));
         }
         if role.is_tactile() && self.crop_profile.is_none() {

@@ -8,9 +8,10 @@ use super::source::Grasp;
 use gripcast_dataset::shard::{ColumnType, TableCell};
 use gripcast_dataset::{GraspRecord, Outcome};
 use gripcast_imaging::Role;
+use gripcast_shear::FingerForce;
 
 /// Names and types of the facts.
-pub(super) const FACTS: [(&str, ColumnType); 20] = [
+pub(super) const FACTS: [(&str, ColumnType); 30] = [
     ("id", ColumnType::Text),
     ("object", ColumnType::Text),
     ("scene", ColumnType::Text),
@@ -30,6 +31,16 @@ pub(super) const FACTS: [(&str, ColumnType); 20] = [
     ("crop_profile_left", ColumnType::Text),
     ("crop_profile_right", ColumnType::Text),
     ("depth_unit_m", ColumnType::Float64),
+    ("force_left_n", ColumnType::Float64),
+    ("force_left_std_n", ColumnType::Float64),
+    ("force_left_shear_n", ColumnType::Float64List(2)),
+    ("force_left_shear_std_n", ColumnType::Float64),
+    ("force_left_is_calibrated", ColumnType::Int64),
+    ("force_right_n", ColumnType::Float64),
+    ("force_right_std_n", ColumnType::Float64),
+    ("force_right_shear_n", ColumnType::Float64List(2)),
+    ("force_right_shear_std_n", ColumnType::Float64),
+    ("force_right_is_calibrated", ColumnType::Int64),
     ("record", ColumnType::Text),
 ];
 
@@ -39,7 +50,7 @@ pub(super) fn facts(grasp: &Grasp) -> Vec<TableCell<'static>> {
     let prediction = record.prediction.as_ref();
     let pose = record.pose.as_ref();
     let depth = record.grasp.cameras.get(&Role::Depth);
-    vec![
+    let mut cells = vec![
         text(&record.id),
         text(&record.object),
         text(&record.scene),
@@ -59,8 +70,12 @@ pub(super) fn facts(grasp: &Grasp) -> Vec<TableCell<'static>> {
         optional_text(crop_profile(record, Role::Left)),
         optional_text(crop_profile(record, Role::Right)),
         optional(depth.and_then(|camera| camera.depth_unit_m)),
-        text(&String::from_utf8_lossy(&grasp.json)),
-    ]
+    ];
+    for role in [Role::Left, Role::Right] {
+        cells.extend(force(record.grasp.force.get(&role)));
+    }
+    cells.push(text(&String::from_utf8_lossy(&grasp.json)));
+    cells
 }
 
 /// Label: 0 slip, 1 stable.
@@ -88,6 +103,20 @@ fn optional(number: Option<f64>) -> TableCell<'static> {
     number.map_or(TableCell::Null, TableCell::Number)
 }
 
+/// Cells of the force on a gel.
+fn force(force: Option<&FingerForce>) -> [TableCell<'static>; 5] {
+    let shear = force.and_then(|force| force.shear_n);
+    [
+        optional(force.map(|force| force.normal_n)),
+        optional(force.map(|force| force.normal_std_n)),
+        shear.map_or(TableCell::Null, |n| TableCell::Numbers(n.to_vec())),
+        optional(force.and_then(|force| force.shear_std_n)),
+        force.map_or(TableCell::Null, |f| {
+            TableCell::Integer(f.is_calibrated.into())
+        }),
+    ]
+}
+
 /// The facts as JSON with equal keys and types for all grasps, without null: a reader that infers
 /// the types from some grasps can read the others. [`missing`] gives the value of an absent fact.
 pub(super) fn typed_json(grasp: &Grasp) -> Map<String, Value> {
@@ -104,6 +133,8 @@ pub(super) fn typed_json(grasp: &Grasp) -> Map<String, Value> {
     json.insert("has_pose".to_owned(), grasp.record.pose.is_some().into());
     let has_prediction = grasp.record.prediction.is_some();
     json.insert("has_prediction".to_owned(), has_prediction.into());
+    let has_force = !grasp.record.grasp.force.is_empty();
+    json.insert("has_force".to_owned(), has_force.into());
     json
 }
 

@@ -150,6 +150,11 @@ fn webdataset_has_an_array_and_a_lift_in_every_sample() {
     let flags = |name: &str| facts.iter().map(|f| f[name].clone()).collect::<Vec<_>>();
     assert_eq!(flags("has_grasp_left_markers"), [false, true, true]);
     assert_eq!(flags("has_lift_left"), [false, false, true]);
+    assert_eq!(flags("has_force"), [false, true, true]);
+    assert_eq!(flags("force_left_n"), [-1.0, 12.5, 12.5]);
+    assert_eq!(flags("force_left_is_calibrated"), [-1, 1, 1]);
+    assert_eq!(flags("force_right_n"), [-1.0; 3]);
+    assert_eq!(facts[1]["force_left_shear_n"], json!([0.5, -0.75]));
 }
 
 #[test]
@@ -168,6 +173,11 @@ fn lerobot_names_the_components_of_tactile_arrays() {
     assert_eq!(feature["dtype"], "float32");
     assert_eq!(feature["shape"], json!([2, 3, 5]));
     assert_eq!(feature["names"]["components"][3], "dy_px");
+    let force = &read("meta/info.json")["features"]["observation.force"];
+    assert_eq!(
+        (&force["shape"], &force["names"][4]),
+        (&json!([8]), &json!("right_n"))
+    );
     let frames = rows(&out.join("data/chunk-000/file-000.parquet"));
     let of = |frame: usize| values(&frames[frame], "observation.tactile.left");
     assert!(of(0).iter().all(|value| value.is_nan()) && of(0).len() == 30);
@@ -194,6 +204,11 @@ fn zarr_rows_of_grasps_without_the_field_are_nan() {
     let read = |name: &str| -> Value {
         serde_json::from_slice(&fs::read(out.join(name)).unwrap()).unwrap()
     };
+    assert_eq!(read("meta/force_n/.zarray")["shape"], json!([3, 2]));
+    assert_eq!(
+        read("meta/force_shear_n/.zarray")["shape"],
+        json!([3, 2, 2])
+    );
     let array = read("data/left_markers/.zarray");
     assert_eq!(array["shape"], json!([6, 2, 3, 5]));
     assert_eq!(

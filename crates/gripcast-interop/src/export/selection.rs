@@ -33,6 +33,7 @@ pub(super) struct Survey {
     pub(super) crops: BTreeMap<String, usize>,
     pub(super) has_pose: bool,
     pub(super) has_prediction: bool,
+    pub(super) has_force: bool,
     /// Maximum length of an id, characters.
     pub(super) longest_id: usize,
     /// Maximum length of an object name, characters.
@@ -57,6 +58,7 @@ impl Survey {
         LiftCounts::survey(&mut self.lifts, record);
         self.has_pose |= record.pose.is_some();
         self.has_prediction |= record.prediction.is_some();
+        self.has_force |= !record.grasp.force.is_empty();
         self.longest_id = self.longest_id.max(record.id.chars().count());
         self.longest_object = self.longest_object.max(record.object.chars().count());
         let crops = record.grasp.cameras.values();

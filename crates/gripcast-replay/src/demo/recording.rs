@@ -198,6 +198,7 @@ impl Recorder {
                 pre_grasp_frames: Vec::new(),
                 fields: Vec::new(),
                 shear: BTreeMap::new(),
+                force: BTreeMap::new(),
                 pose: None,
                 truth: None,
             }

@@ -17,6 +17,8 @@ pub(super) const DEPTH: &str = "observation.depth";
 pub(super) const POSE: &str = "observation.pose";
 /// Name of the prediction feature.
 pub(super) const P_STABLE: &str = "prediction.p_stable";
+/// Name of the force feature.
+const FORCE: &str = "observation.force";
 /// Features of every frame, after the others: name, type, and LeRobot's name of the type.
 pub(super) const ALWAYS: [(&str, ColumnType, &str); 8] = [
     ("next.reward", ColumnType::Float32, "float32"),
@@ -40,6 +42,7 @@ pub(super) struct Features {
     pub(super) fields: Vec<UniformField>,
     pub(super) has_pose: bool,
     pub(super) has_prediction: bool,
+    pub(super) has_force: bool,
 }
 
 /// Name of a colour camera's feature.
@@ -105,6 +108,7 @@ impl Features {
             depth,
             has_pose: survey.has_pose,
             has_prediction: survey.has_prediction,
+            has_force: survey.has_force,
         };
         Ok((features, notes))
     }
@@ -126,6 +130,9 @@ impl Features {
         }
         if self.has_prediction {
             columns.push((P_STABLE.to_owned(), ColumnType::Float32));
+        }
+        if self.has_force {
+            columns.push((FORCE.to_owned(), ColumnType::Float32List(8)));
         }
         columns.extend(ALWAYS.map(|(name, kind, _)| (name.to_owned(), kind)));
         columns
@@ -160,6 +167,13 @@ impl Features {
         let scalar = |dtype: &str| json!({"dtype": dtype, "shape": [1], "names": null});
         if self.has_prediction {
             features.insert(P_STABLE.to_owned(), scalar("float32"));
+        }
+        if self.has_force {
+            let names = ["left", "right"].map(|gel| {
+                ["n", "std_n", "shear_x_n", "shear_y_n"].map(|what| format!("{gel}_{what}"))
+            });
+            let force = json!({"dtype": "float32", "shape": [8], "names": names.as_flattened()});
+            features.insert(FORCE.to_owned(), force);
         }
         for (name, _, dtype) in ALWAYS {
             features.insert(name.to_owned(), scalar(dtype));

@@ -40,6 +40,7 @@ pub(super) struct Images {
     frames: [FrameImages; FRAMES],
     pose: Option<Vec<f64>>,
     p_stable: Option<f64>,
+    force: Option<Vec<f64>>,
 }
 
 struct FrameImages {
@@ -147,10 +148,20 @@ impl Frames {
             let prediction = record.prediction.as_ref();
             prediction.map_or(f64::NAN, |prediction| prediction.p_stable)
         });
+        let force = self.features.has_force.then(|| {
+            let gels = [Role::Left, Role::Right].map(|role| record.grasp.force.get(&role));
+            let numbers = gels.map(|force| {
+                let [x, y] = force.and_then(|f| f.shear_n).unwrap_or([f64::NAN; 2]);
+                let normal = force.map_or(f64::NAN, |f| f.normal_n);
+                [normal, force.map_or(f64::NAN, |f| f.normal_std_n), x, y]
+            });
+            numbers.as_flattened().to_vec()
+        });
         Ok(Images {
             frames: [first, second],
             pose,
             p_stable,
+            force,
         })
     }
 
@@ -195,6 +206,7 @@ pub(super) fn rows(
         frames: [first, second],
         pose,
         p_stable,
+        force,
     } = images;
     let row = |frame: usize, images: FrameImages| {
         let is_last = frame + 1 == FRAMES;
@@ -212,6 +224,15 @@ pub(super) fn rows(
         if let Some(p_stable) = p_stable {
             cells.push(TableCell::Number(p_stable));
             numbers.push(vec![p_stable]);
+        }
+        if let Some(force) = &force {
+            // That of the grasp: the gels of the first frame are untouched.
+            let of_frame = match is_last {
+                true => force.clone(),
+                false => vec![f64::NAN; force.len()],
+            };
+            cells.push(TableCell::Numbers(of_frame.clone()));
+            numbers.push(of_frame);
         }
         cells.push(TableCell::Number(reward));
         cells.extend(flags.map(TableCell::Integer));

@@ -62,6 +62,9 @@ struct PerGrasp {
     episode_ends: Rows,
     outcome: Rows,
     p_stable: Rows,
+    force_n: Rows,
+    force_std_n: Rows,
+    force_shear_n: Rows,
     pose_t_m: Rows,
     pose_q_wxyz: Rows,
     id: Rows,
@@ -78,6 +81,9 @@ impl PerGrasp {
             episode_ends: Rows::new("meta/episode_ends", Kind::I8, &[]),
             outcome: Rows::new("meta/outcome", Kind::I1, &[]),
             p_stable: Rows::new("meta/p_stable", Kind::F8, &[]),
+            force_n: Rows::new("meta/force_n", Kind::F8, &[2]),
+            force_std_n: Rows::new("meta/force_std_n", Kind::F8, &[2]),
+            force_shear_n: Rows::new("meta/force_shear_n", Kind::F8, &[2, 2]),
             pose_t_m: Rows::new("meta/pose_t_m", Kind::F8, &[3]),
             pose_q_wxyz: Rows::new("meta/pose_q_wxyz", Kind::F8, &[4]),
             id: Rows::new("meta/id", text(survey.longest_id), &[]),
@@ -106,6 +112,14 @@ impl PerGrasp {
         self.episode_ends.push(store, &(end as i64).to_le_bytes())?;
         self.outcome.push(store, &outcome.to_le_bytes())?;
         self.p_stable.push(store, &p_stable.to_le_bytes())?;
+        let forces = [Role::Left, Role::Right].map(|role| record.grasp.force.get(&role));
+        let normal = forces.map(|force| force.map_or(f64::NAN, |f| f.normal_n));
+        let std = forces.map(|force| force.map_or(f64::NAN, |f| f.normal_std_n));
+        let shear = forces.map(|force| force.and_then(|f| f.shear_n).unwrap_or([f64::NAN; 2]));
+        self.force_n.push(store, &le_bytes(&normal))?;
+        self.force_std_n.push(store, &le_bytes(&std))?;
+        self.force_shear_n
+            .push(store, &le_bytes(shear.as_flattened()))?;
         self.pose_t_m.push(store, &le_bytes(&t_m))?;
         self.pose_q_wxyz.push(store, &le_bytes(&q_wxyz))?;
         self.id.push_text(store, &record.id)?;
@@ -118,6 +132,9 @@ impl PerGrasp {
             self.episode_ends,
             self.outcome,
             self.p_stable,
+            self.force_n,
+            self.force_std_n,
+            self.force_shear_n,
             self.pose_t_m,
             self.pose_q_wxyz,
         ];
