@@ -17,6 +17,10 @@ use gripcast_session::{LastGrasp, SessionView, Step};
 
 /// Frame age above which a prediction is shown as old, ms.
 const STALE_MS: f64 = 500.0;
+/// Start of the adaptation's words where there is room.
+const ADAPTED_TO: &str = "adapted to ";
+/// Width from which there is, columns.
+const WIDE: u16 = 100;
 /// Minimum columns between probability and verdict.
 const GAP: u16 = 4;
 
@@ -135,8 +139,8 @@ fn reading(status: &EngineStatus, palette: Palette) -> Reading<'_> {
     }
 }
 
-/// Returns `adapted to 7 labels: base rate 0.62, model 0.48`: base rate and the model's own
-/// probability; empty without adaptation.
+/// Returns `7 labels: base rate 0.62, model 0.48`: base rate and the model's own probability; empty
+/// without adaptation.
 fn adaptation_words(status: &EngineStatus, prediction: Option<&PredictionRecord>) -> String {
     let adapted = prediction.and_then(|record| Some((record.adapted?, record.p_stable)));
     match (adapted, &status.adaptation) {
@@ -145,9 +149,9 @@ fn adaptation_words(status: &EngineStatus, prediction: Option<&PredictionRecord>
                 labels, base_rate, ..
             } = adapted;
             let label = if labels == 1 { "label" } else { "labels" };
-            format!("adapted to {labels} {label}: base rate {base_rate:.2}, model {p_stable:.2}")
+            format!("{labels} {label}: base rate {base_rate:.2}, model {p_stable:.2}")
         }
-        (None, Some(adaptation)) => adaptation.words(),
+        (None, Some(adaptation)) => adaptation.words().replacen(ADAPTED_TO, "", 1),
         (None, None) => String::new(),
     }
 }
@@ -273,7 +277,14 @@ fn wrap_line(text: &str, columns_wide: usize) -> (&str, &str) {
 
 fn write_title(buffer: &mut Buffer, area: Rect, reading: &Reading<'_>, palette: Palette) {
     let mut left = vec![Span::styled(" STABILITY ", palette.strong())];
-    let adaptation = Span::styled(format!("{} ", reading.adaptation), palette.faint());
+    let adaptation = match reading.adaptation.as_str() {
+        "" => String::new(),
+        words if area.width >= WIDE || reading.prediction.is_none() => {
+            format!("{ADAPTED_TO}{words} ")
+        }
+        words => format!("{words} "),
+    };
+    let adaptation = Span::styled(adaptation, palette.faint());
     let Some(record) = reading.prediction else {
         left.push(adaptation);
         write(buffer, area, &Line::from(left));
@@ -282,8 +293,17 @@ fn write_title(buffer: &mut Buffer, area: Rect, reading: &Reading<'_>, palette: 
     let name = clipped(&record.model, 28);
     let is_heuristic = matches!(reading.of, Predicted::Live(Some(live)) if live.heuristic);
     let heuristic = u16::from(is_heuristic) * columns(" HEURISTIC ");
-    let needed =
-        columns(" STABILITY ") + columns(&name) + heuristic + 2 + columns(&reading.adaptation);
+    let is_unsure = reading.verdict == word(PredictedLabel::Unsure);
+    let reason = match is_unsure {
+        true => format!("{} ", unsure_words(record)),
+        false => String::new(),
+    };
+    let needed = [" STABILITY ", &name, &adaptation.content, &reason]
+        .map(columns)
+        .iter()
+        .sum::<u16>()
+        + heuristic
+        + 2;
     let mut details = details(reading, record, palette);
     let long = details.remove(0);
     let taken = match area.width.checked_sub(needed) {
@@ -294,9 +314,8 @@ fn write_title(buffer: &mut Buffer, area: Rect, reading: &Reading<'_>, palette: 
     if is_heuristic {
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
-    if reading.verdict == word(PredictedLabel::Unsure) {
-        let words = format!("{} ", unsure_words(record));
-        left.push(Span::styled(words, palette.warning()));
+    if is_unsure {
+        left.push(Span::styled(reason, palette.warning()));
     }
     if !reading.adaptation.is_empty() {
         left.push(adaptation);
@@ -540,7 +559,7 @@ mod tests {
         assert_eq!((shown.number.as_str(), shown.verdict), ("0.63", "STABLE"));
         let text = drawn(&status);
         assert!(
-            text.contains("adapted to 7 labels: base rate 0.65, model 0.48"),
+            text.contains("7 labels: base rate 0.65, model 0.48"),
             "{text}"
         );
         let waiting = EngineStatus {

@@ -300,10 +300,19 @@ fn trained_model_predicts_sets_at_an_error_rate() {
     assert!(before["conformal"].is_null(), "{before}");
     let scored = dir.path().join("scored.onnx");
     let mut conformal = gripcast();
-    conformal.args(["predict", "conformal", "--json", "baseline-contact", "--data"]);
+    conformal.args([
+        "predict",
+        "conformal",
+        "--json",
+        "baseline-contact",
+        "--data",
+    ]);
     conformal.arg(&data).arg("--out").arg(&scored);
     let written = json(&succeed(&mut conformal));
-    assert_eq!((&written["slip"], &written["stable"]), (&2.into(), &2.into()));
+    assert_eq!(
+        (&written["slip"], &written["stable"]),
+        (&2.into(), &2.into())
+    );
     let after = json(&succeed(&mut eval(&scored, &half)));
     assert_eq!(after["auroc"], before["auroc"]);
     let sets = &after["conformal"];
