@@ -15,6 +15,9 @@ pub(super) struct TrainingFlags {
     #[arg(long, value_name = "NAME", default_value = "gripcast",
         value_parser = Architecture::NAMES)]
     arch: String,
+    /// Epochs in which the encoders of camera images first learn the extents of the object
+    #[arg(long, value_name = "N", default_value_t = 30)]
+    pretrain_epochs: u32,
     /// Number of training epochs
     #[arg(long, value_name = "N", default_value_t = 30)]
     epochs: u32,
@@ -48,6 +51,7 @@ impl TrainingFlags {
         let architecture = Architecture::by_name(&self.arch)
             .ok_or_else(|| Error::usage(format!("unknown network architecture `{}`", self.arch)))?;
         let settings = TrainSettings {
+            pretrain_epochs: self.pretrain_epochs,
             epochs: self.epochs,
             batch_size: self.batch_size,
             learning_rate: self.learning_rate,

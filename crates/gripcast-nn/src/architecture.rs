@@ -78,7 +78,7 @@ impl Architecture {
             ],
             pool: [2, 2],
             embedding: 128,
-            camera_embedding: 32,
+            camera_embedding: 16,
             geometry: true,
             fallbacks: true,
             hidden: 128,
@@ -366,6 +366,13 @@ impl Layout {
     /// Parameter tensors of the heads, the last ones.
     pub fn head_params(&self) -> &[Param] {
         &self.params[self.first_of_heads..]
+    }
+
+    /// Parameter tensors of the encoders of camera images, which follow those of touch.
+    pub fn camera_params(&self) -> &[Param] {
+        let is_of_touch = |param: &&Param| param.name.starts_with(EncoderKind::Touch.name());
+        let first = self.params.iter().take_while(is_of_touch).count();
+        &self.params[first.min(self.first_of_heads)..self.first_of_heads]
     }
 
     /// Number of parameters.

@@ -17,11 +17,11 @@ const MOMENTUM: f32 = 0.1;
 const GROUPS: usize = 8;
 /// Weight of the predictions from all inputs in the loss; those from fewer share the rest.
 const FULL_WEIGHT: f64 = 0.5;
-/// Weight of the geometry's smooth L1 loss relative to the cross entropy, with errors in 0.1 m.
-const GEOMETRY_WEIGHT: f64 = 10.0;
-/// Error of a geometry value at which its loss becomes linear, 0.1 m: the ends of long objects are
+/// Weight of the geometry's smooth L1 loss relative to the cross entropy, with errors in 0.03 m.
+const GEOMETRY_WEIGHT: f64 = 3.0;
+/// Error of a geometry value at which its loss becomes linear, 0.03 m: the ends of long objects are
 /// out of view.
-const GEOMETRY_KNEE: f64 = 0.2;
+const GEOMETRY_KNEE: f64 = 0.5;
 
 /// Images of a batch, f32 HWC, concatenated; empty for a modality that the classifier lacks.
 #[derive(Clone, Debug, Default)]
@@ -34,7 +34,7 @@ pub struct Batch {
     pub depth: Vec<f32>,
     /// Inputs of each sample that are valid; empty if all are.
     pub available: Vec<Modality>,
-    /// Geometry of each sample, [`GEOMETRY`] values in units of 0.1 m, NaN where unknown; empty if
+    /// Geometry of each sample, [`GEOMETRY`] values in units of 0.03 m, NaN where unknown; empty if
     /// no sample has one.
     pub geometry: Vec<f32>,
     /// Target: 1 stable, 0 slip.
@@ -78,7 +78,7 @@ impl Batch {
 pub struct Outputs {
     /// Logits of the samples for each of [`Network::heads`].
     pub logits: Vec<Vec<f32>>,
-    /// Geometry of the samples, [`GEOMETRY`] values of each in units of 0.1 m, by the input it is
+    /// Geometry of the samples, [`GEOMETRY`] values of each in units of 0.03 m, by the input it is
     /// read from.
     pub geometry: Vec<(InputName, Vec<f32>)>,
 }
@@ -104,6 +104,8 @@ pub enum Scope {
     FixedStats,
     /// The hidden and the output layer; the encoders and their statistics stay as they are.
     Head,
+    /// The encoders of camera images, for the geometry alone.
+    Geometry,
 }
 
 impl Scope {
@@ -112,7 +114,18 @@ impl Scope {
         match self {
             Self::All | Self::FixedStats => layout.params(),
             Self::Head => layout.head_params(),
+            Self::Geometry => layout.camera_params(),
         }
+    }
+
+    /// Whether it normalises with the statistics of the batch.
+    fn is_of_batch(self) -> bool {
+        matches!(self, Self::All | Self::Geometry)
+    }
+
+    /// Whether it runs an encoder.
+    fn uses(self, kind: EncoderKind) -> bool {
+        self != Self::Geometry || kind != EncoderKind::Touch
     }
 }
 
@@ -253,7 +266,7 @@ impl Network {
     /// Computes the outputs for a batch with the running statistics.
     pub fn outputs(&self, batch: &Batch) -> Outputs {
         let mut passes = Vec::new();
-        self.forward(batch, false, &mut passes);
+        self.forward(batch, Scope::FixedStats, &mut passes);
         let heads = self.layout.heads.iter();
         let logits = heads.map(|head| self.head_forward(head, &passes, None).logits);
         let geometry = self.geometry_passes(&passes).map(|(kind, pass)| {
@@ -274,13 +287,14 @@ impl Network {
     pub fn train_step(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> f64 {
         let mut workspace = std::mem::take(&mut self.workspace);
         let Workspace { passes, gradients } = &mut workspace;
-        self.forward(batch, step.scope == Scope::All, passes);
+        self.forward(batch, step.scope, passes);
         let mut dembeddings: Vec<Vec<f32>> = passes
             .iter()
             .map(|pass| vec![0.0; pass.embedding.len()])
             .collect();
         let mut loss = 0.0;
-        for (index, params) in self.layout.heads.iter().enumerate() {
+        let heads = self.layout.heads.iter().enumerate();
+        for (index, params) in heads.filter(|_| step.scope != Scope::Geometry) {
             let scale = head_weight(index, self.layout.heads.len());
             let head = self.head_forward(params, passes, Some(step));
             let weights = batch.weights_of(params.modality);
@@ -301,7 +315,7 @@ impl Network {
             loss += self.geometry_loss(batch, passes, &mut dembeddings);
             self.backward_encoders(batch, passes, &dembeddings, step.scope, gradients, gradient);
         }
-        if step.scope == Scope::All {
+        if step.scope.is_of_batch() {
             self.update_running_stats(passes, step.number);
         }
         self.workspace = workspace;
@@ -382,6 +396,9 @@ impl Network {
     ) {
         let encoders = self.layout.encoders.iter().zip(passes);
         for ((encoder, pass), dembedding) in encoders.zip(dembeddings) {
+            if !scope.uses(encoder.kind) {
+                continue;
+            }
             let images = batch.images(encoder.kind);
             let [weight, bias] = &encoder.projection;
             let dpooled = backward_linear(&pass.pooled, dembedding, self, weight, bias, gradient);
@@ -395,6 +412,7 @@ impl Network {
         // The first steps average all batches: the initial statistics are arbitrary.
         let fraction = MOMENTUM.max(1.0 / (number + 1) as f32);
         let encoders = self.layout.encoders.clone();
+        // An encoder that did not run has no statistics of the batch.
         for (encoder, pass) in encoders.iter().zip(passes) {
             for ([mean, variance], (stats, z)) in
                 encoder.stats.iter().zip(pass.stats.iter().zip(&pass.z))
@@ -424,11 +442,16 @@ impl Network {
         ChannelStats { mean, variance }
     }
 
-    fn forward(&self, batch: &Batch, is_training: bool, passes: &mut Vec<EncoderPass>) {
+    fn forward(&self, batch: &Batch, scope: Scope, passes: &mut Vec<EncoderPass>) {
         let encoders = &self.layout.encoders;
         passes.resize_with(encoders.len(), EncoderPass::default);
         for (params, pass) in encoders.iter().zip(passes) {
-            self.forward_encoder(params, batch.images(params.kind), is_training, pass);
+            if scope.uses(params.kind) {
+                let images = batch.images(params.kind);
+                self.forward_encoder(params, images, scope.is_of_batch(), pass);
+            } else {
+                *pass = EncoderPass::default();
+            }
         }
     }
 
@@ -653,7 +676,7 @@ impl Network {
                 a: &pass.a[i],
                 image: output,
                 stats: &pass.stats[i],
-                is_of_batch: scope == Scope::All,
+                is_of_batch: scope.is_of_batch(),
             };
             let [dgamma, dbeta] = batch_norm::backward(of_layer, self.values(gamma), d);
             add(&mut gradient[gamma.range()], &dgamma);

@@ -67,7 +67,12 @@ fn case(scope: Scope) -> (Network, Batch, Step) {
 
 #[test]
 fn gradients_match_finite_differences() {
-    for scope in [Scope::All, Scope::FixedStats, Scope::Head] {
+    for scope in [
+        Scope::All,
+        Scope::FixedStats,
+        Scope::Head,
+        Scope::Geometry,
+    ] {
         let (network, batch, step) = case(scope);
         let mut gradient = vec![0.0; network.parameters.len()];
         network.clone().train_step(&batch, &step, &mut gradient);
@@ -137,7 +142,12 @@ fn running_stats_converge_to_batch_stats() {
     let batch = batch(modality, 4, &mut draw);
     let passes = |network: &Network, is_training| {
         let mut passes = Vec::new();
-        network.forward(&batch, is_training, &mut passes);
+        let scope = if is_training {
+            Scope::All
+        } else {
+            Scope::FixedStats
+        };
+        network.forward(&batch, scope, &mut passes);
         passes
     };
     let in_training: Vec<EncoderPass> = passes(&network, true);
@@ -169,7 +179,7 @@ fn swapping_sensors_swaps_embeddings() {
     };
     let [joined, of_swapped] = [&batch, &swapped].map(|batch| {
         let mut passes = Vec::new();
-        network.forward(batch, false, &mut passes);
+        network.forward(batch, Scope::FixedStats, &mut passes);
         network.join(modality, &passes)
     });
     for (row, other) in joined.chunks(32).zip(of_swapped.chunks(32)) {
@@ -196,6 +206,35 @@ fn predictions_depend_on_their_inputs_alone() {
     let read: Vec<InputName> = seen.geometry.iter().map(|(input, _)| *input).collect();
     assert_eq!(read, [InputName::Rgb, InputName::Depth]);
     assert!(seen.geometry.iter().all(|(_, g)| g.len() == 3 * GEOMETRY));
+}
+
+#[test]
+fn geometry_is_learnt_without_touch_and_labels() {
+    let (mut network, batch, step) = case(Scope::Geometry);
+    let before = network.clone();
+    let cameras = Batch {
+        touch: Vec::new(),
+        targets: Vec::new(),
+        weights: Vec::new(),
+        ..batch.clone()
+    };
+    let mut gradient = vec![0.0; network.parameters.len()];
+    let loss = network.train_step(&cameras, &step, &mut gradient);
+    let mut whole = vec![0.0; gradient.len()];
+    assert_eq!(before.clone().train_step(&batch, &step, &mut whole), loss);
+    assert!(gradient == whole);
+    let layout = network.layout().clone();
+    let touched: Vec<&str> = layout
+        .params()
+        .iter()
+        .filter(|param| gradient[param.range()].iter().any(|slope| *slope != 0.0))
+        .map(|param| param.name.split('.').next().unwrap())
+        .collect();
+    assert!(touched.iter().all(|name| ["vision", "depth"].contains(name)));
+    assert!(touched.contains(&"depth") && touched.contains(&"vision"));
+    let touch = layout.encoders[0].stats[0][0].clone();
+    assert_eq!(network.running_stats[touch.clone()], before.running_stats[touch]);
+    assert!(network.running_stats != before.running_stats);
 }
 
 #[test]

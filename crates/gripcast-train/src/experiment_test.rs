@@ -38,6 +38,7 @@ fn experiment_trains_tests_and_compares_conditions() {
         rigid: Some(rigid),
         seeds: 2,
         training: TrainSettings {
+            pretrain_epochs: 1,
             epochs: 2,
             batch_size: 4,
             ..TrainSettings::new(Modality::Vt, architecture, 0)

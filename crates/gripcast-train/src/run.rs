@@ -6,7 +6,7 @@ use std::io::Write as _;
 use std::path::Path;
 use std::time::Instant;
 
-use super::augment::InputWriter;
+use super::augment::{Augmentation, InputWriter};
 use super::batches::{Batches, colour_normalisation};
 use super::duplicates::duplicates;
 use super::run_folder::{EpochMetrics, RunFile, RunFolder, VERSION, foreign_checkpoint, untrained};
@@ -440,7 +440,9 @@ impl<'a> Training<'a> {
         on_progress(TrainEvent::Started(self.start(warnings.clone())));
         while self.position.epoch < self.settings.total_epochs() && !self.stops_early() {
             let metrics = self.epoch(on_progress)?;
-            if self.position.best.is_none_or(|best| metrics.beats(best)) {
+            // Before the heads are trained no epoch is the best.
+            let is_trained = self.settings.phase(self.position.epoch).scope != Scope::Geometry;
+            if is_trained && self.position.best.is_none_or(|best| metrics.beats(best)) {
                 let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.running_stats];
                 state::save(&self.folder.best(), &metrics, &arrays)?;
                 self.position.best = Some([metrics.validation_accuracy, metrics.validation_loss]);
@@ -479,8 +481,18 @@ impl<'a> Training<'a> {
         let train = self.train;
         let epoch_seed = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
         let order = train.shuffled(epoch_seed, buffer);
-        let writer = InputWriter::new(settings.augmentation(), self.normalisation);
-        let mut batches = Batches::new(train, settings.modality, writer, buffer).balanced();
+        let (modality, augmentation) = match (phase.scope, settings.geometry_inputs()) {
+            (Scope::Geometry, Some(cameras)) => (
+                cameras,
+                Augmentation {
+                    rotate_180: false,
+                    ..settings.augmentation
+                },
+            ),
+            _ => (settings.modality, settings.augmentation()),
+        };
+        let writer = InputWriter::new(augmentation, self.normalisation);
+        let mut batches = Batches::new(train, modality, writer, buffer).balanced();
         let mut read = |step: u64| -> Result<Batch> {
             let first = step as usize * batch_size;
             let samples = &order[first..first + batch_size];

@@ -29,6 +29,7 @@ pub(crate) fn settings(modality: Modality) -> TrainSettings {
         hidden: 16,
     };
     TrainSettings {
+        pretrain_epochs: 1,
         epochs: 3,
         batch_size: 4,
         warm_up_steps: 1,

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::augment::Augmentation;
 use super::start::StartModel;
 use gripcast_base::error::{Error, Result};
-use gripcast_nn::predict::contract::Modality;
+use gripcast_nn::predict::contract::{InputName, Modality};
 use gripcast_nn::{Architecture, Scope};
 
 /// All settings that affect the result. A run is only resumed with the same settings.
@@ -18,6 +18,9 @@ pub struct TrainSettings {
     pub architecture: Architecture,
     /// Random seed of initialisation, sample order and augmentation.
     pub seed: u64,
+    /// Epochs before those of training in which the encoders of camera images learn the geometry of
+    /// the grasp; 0 for a network without geometry.
+    pub pretrain_epochs: u32,
     /// Number of training epochs.
     pub epochs: u32,
     /// Batch size; a run with fewer training samples uses one batch of all of them.
@@ -51,6 +54,8 @@ pub struct FineTuning {
     pub unfreeze_epochs: u32,
 }
 
+/// Learning rate of the geometry relative to that of training.
+const GEOMETRY_RATE: f64 = 4.0;
 /// Learning rate of all parameters relative to that of the head.
 const UNFROZEN_RATE: f64 = 0.1;
 /// Steps of linear warm-up in fine-tuning: a few dozen grasps make a few steps per epoch.
@@ -76,6 +81,7 @@ impl TrainSettings {
             modality,
             architecture,
             seed,
+            pretrain_epochs: 30,
             epochs: 30,
             batch_size: 16,
             learning_rate: 3e-4,
@@ -114,21 +120,43 @@ impl TrainSettings {
         }
     }
 
+    /// Inputs of the encoders that learn the geometry; none without one.
+    pub(super) fn geometry_inputs(&self) -> Option<Modality> {
+        let cameras = |name: InputName| !name.role().is_tactile() && self.modality.has(name);
+        Modality::of(cameras).filter(|_| self.architecture.geometry)
+    }
+
+    /// Number of epochs that learn the geometry.
+    fn geometry_epochs(&self) -> u32 {
+        match (self.geometry_inputs(), &self.fine_tuning) {
+            (Some(_), None) => self.pretrain_epochs,
+            _ => 0,
+        }
+    }
+
     /// Number of epochs of all phases.
     pub fn total_epochs(&self) -> u32 {
         let unfrozen = self.fine_tuning.as_ref().map_or(0, |f| f.unfreeze_epochs);
-        self.epochs.saturating_add(unfrozen)
+        let trained = self.geometry_epochs().saturating_add(self.epochs);
+        trained.saturating_add(unfrozen)
     }
 
     /// Returns the phase of an epoch, from 0.
     pub(super) fn phase(&self, epoch: u32) -> Phase {
+        let pretrain = self.geometry_epochs();
         let first = Phase {
             scope: Scope::All,
-            first: 0,
+            first: pretrain,
             epochs: self.epochs,
             learning_rate: self.learning_rate,
         };
         match &self.fine_tuning {
+            None if epoch < pretrain => Phase {
+                scope: Scope::Geometry,
+                first: 0,
+                epochs: pretrain,
+                learning_rate: GEOMETRY_RATE * self.learning_rate,
+            },
             None => first,
             Some(_) if epoch < self.epochs => Phase {
                 scope: Scope::Head,

@@ -70,7 +70,7 @@ impl Engine {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Values {
     pub(super) p_stable: f32,
-    /// Geometry in units of 0.1 m.
+    /// Geometry in units of 0.03 m.
     pub(super) geometry: Option<[f32; GEOMETRY]>,
 }
 

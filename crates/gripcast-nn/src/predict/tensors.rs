@@ -20,8 +20,8 @@ pub const OUTPUT_SHAPE: [i64; 2] = [1, 1];
 /// Number of values of a grasp's geometry, see [`GraspGeometry`](gripcast_geometry::GraspGeometry).
 pub const GEOMETRY: usize = gripcast_geometry::GraspGeometry::LEN;
 /// Unit of the geometry in networks and model files, m.
-pub const GEOMETRY_UNIT_M: f64 = 0.1;
-/// Shape of the output `geometry_rgb` or `geometry_depth`: the geometry in units of 0.1 m.
+pub const GEOMETRY_UNIT_M: f64 = 0.03;
+/// Shape of the output `geometry_rgb` or `geometry_depth`: the geometry in units of 0.03 m.
 pub const GEOMETRY_SHAPE: [i64; 2] = [1, GEOMETRY as i64];
 
 /// Name of the output of the predictions from `inputs` in a model with the inputs `all`.
