@@ -12,6 +12,11 @@ use crate::export::RecognisedNetwork;
 use crate::inference::{Convolution, Dense, Padded};
 use crate::network::EncoderKind;
 
+/// Bound of the values of an input; that of a normalised colour image is 1 / std.
+const INPUT_BOUND: f64 = 1e4;
+/// Bound below which sums of the values of an image cannot overflow.
+const OUTPUT_BOUND: f64 = 1e-6 * f32::MAX as f64;
+
 /// A network ready to run.
 #[derive(Debug)]
 pub(super) struct NativeEngine {
@@ -45,16 +50,20 @@ struct Buffers {
 }
 
 impl NativeEngine {
-    /// Builds the engine for a model; none if its graph is not a gripcast network.
+    /// Builds the engine for a model; none if its graph is not a gripcast network, or if its weights
+    /// are so large that a layer could overflow: a ReLU would turn NaN into 0.
     pub(super) fn new(model: &ModelProto, modality: Modality) -> Option<Self> {
         use InputName::{Rgb, TactileLeft, TactileRight};
         let graph = RecognisedNetwork::new(model.graph.as_ref()?, modality.inputs())?;
         let architecture = &graph.architecture;
         let shapes = architecture.shapes();
         let [height, width, channels] = architecture.pooled();
-        let encoder = |kind: EncoderKind, inputs: &'static [InputName]| {
+        let mut largest = INPUT_BOUND;
+        let mut encoder = |kind: EncoderKind, inputs: &'static [InputName]| {
+            let mut bound = INPUT_BOUND;
             let convolutions = shapes.iter().enumerate().map(|(at, shape)| {
                 let [weight, bias] = graph.convolution(kind, at, shape.input[2])?;
+                bound = bound_after(bound, &weight, &bias);
                 Some(Convolution::new(*shape, &weight, bias, true))
             });
             // First, so that the sizes below are those of actual data.
@@ -62,6 +71,7 @@ impl NativeEngine {
             let layer = format!("{}.projection", kind.name());
             let means = height * width * channels;
             let [weight, bias] = graph.dense(&layer, means, architecture.embedding)?;
+            largest = f64::max(largest, bound_after(bound, &weight, &bias));
             Some(Encoder {
                 inputs,
                 convolutions,
@@ -80,6 +90,10 @@ impl NativeEngine {
         let joined = modality.inputs().len() * architecture.embedding;
         let [hidden, hidden_bias] = graph.dense("head.hidden", joined, architecture.hidden)?;
         let [logit, logit_bias] = graph.dense("head.logit", architecture.hidden, 1)?;
+        let bound = bound_after(largest, &hidden, &hidden_bias);
+        if bound_after(bound, &logit, &logit_bias) > OUTPUT_BOUND {
+            return None;
+        }
         let pads = shapes.iter().map(|shape| shape.pad).chain([0]);
         let sizes = [IMAGE].into_iter().chain(shapes.iter().map(|s| s.output()));
         let images = sizes.zip(pads).map(|(size, pad)| Padded::new(size, pad));
@@ -126,6 +140,18 @@ impl NativeEngine {
         self.logit.forward(numbers, joined);
         joined.first().copied()
     }
+}
+
+/// Bound of what a layer answers, and of its sums, for inputs within a bound.
+fn bound_after(bound: f64, weight: &[f32], bias: &[f32]) -> f64 {
+    let max = |values: &[f32]| {
+        values
+            .iter()
+            .fold(0.0, |max: f64, x| max.max(f64::from(x.abs())))
+    };
+    let inputs = weight.len() / bias.len().max(1);
+    // At least the bound, so that a layer of small weights hides no overflow before it.
+    bound.max(bound * max(weight) * inputs as f64 + max(bias))
 }
 
 impl Encoder {
