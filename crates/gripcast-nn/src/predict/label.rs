@@ -119,6 +119,12 @@ mod tests {
             is_other_gel: true,
             ..touched
         };
+        let seen = |problem| GelChange {
+            view_problem: Some(problem),
+            ..touched
+        };
+        let mirrored = seen(ViewProblem::Mirrored);
+        let upside_down = seen(ViewProblem::UpsideDown);
         let doubt = |left, right, is_stable| contact_doubt([left, right], is_stable);
         for is_stable in [true, false] {
             assert_eq!(doubt(&touched, &touched, is_stable), None);
@@ -126,15 +132,10 @@ mod tests {
             assert!(light.contains("light on the right gel"), "{light}");
             assert!(doubt(&lit, &lit, is_stable).is_some());
             assert!(doubt(&other, &touched, is_stable).is_some());
-            let seen = |problem| GelChange {
-                view_problem: Some(problem),
-                ..touched
-            };
-            let mirrored = seen(ViewProblem::Mirrored);
             assert_eq!(doubt(&touched, &mirrored, is_stable), None);
             let view = doubt(&mirrored, &mirrored, is_stable).unwrap();
             assert!(view.contains("is mirrored"), "{view}");
-            let view = doubt(&touched, &seen(ViewProblem::UpsideDown), is_stable).unwrap();
+            let view = doubt(&touched, &upside_down, is_stable).unwrap();
             assert!(
                 view.starts_with("the image of the right gel is upside down: "),
                 "{view}"

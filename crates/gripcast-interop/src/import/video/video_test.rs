@@ -37,8 +37,8 @@ fn contact_of_both_fingers_is_found_after_the_stale_frames() {
     let onset = found(&strengths(9, 20, 40), &strengths(7, 20, 40), None).unwrap();
     assert_eq!((onset.initial, onset.contact), (18, [20, 20]));
     // Contact right after the still frames leaves the last of them.
-    let onset = found(&strengths(9, 13, 40), &strengths(9, 13, 40), None).unwrap();
-    assert_eq!((onset.initial, onset.contact), (12, [13, 13]));
+    let onset = found(&strengths(7, 11, 40), &strengths(7, 11, 40), None).unwrap();
+    assert_eq!((onset.initial, onset.contact), (10, [11, 11]));
     let onset = found(&strengths(5, 20, 40), &strengths(5, 23, 40), Some(8)).unwrap();
     assert_eq!((onset.initial, onset.contact), (8, [20, 23]));
 }
