@@ -338,7 +338,14 @@ fn image(path: &Path, crop: &CropProfile) -> Result<RgbImage> {
     let read = || -> Result<RgbImage> {
         let bytes = read_regular(path, FileKind::Image)
             .map_err(|e| Error::io("cannot read the image", e))?;
-        Decoder::new()?.decode_file(&bytes, Some(crop), IMAGE_WIDTH, IMAGE_HEIGHT)
+        let mut decoder = Decoder::new()?;
+        let (width, height) = decoder.stored_image(&bytes)?.dimensions();
+        if height > width {
+            let what = format!("the image is upright ({width}×{height}), and the sensors' are not");
+            return Err(Error::input(what)
+                .remedy("rotate it as the camera sends it: it would be stretched to 320×240"));
+        }
+        decoder.decode_file(&bytes, Some(crop), IMAGE_WIDTH, IMAGE_HEIGHT)
     };
     read().map_err(|error| error.at(path.display()))
 }

@@ -8,11 +8,11 @@ use image::{Rgb, RgbImage};
 
 use super::create_folder;
 use super::flags::{check_output, suffix};
-use super::tactile_recording::ffmpeg_error;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_imaging::caption::write_text;
 use gripcast_imaging::{draw_arrow, draw_line, encode_png_rgb};
+use gripcast_interop::video::ffmpeg_error;
 use gripcast_shear::{ShearFrame, ShearSource};
 
 /// Columns and rows of a strip.

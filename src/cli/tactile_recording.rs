@@ -1,10 +1,7 @@
 //! The frames of a tactile recording: a video, a folder of images, or a grasp of a dataset.
 
 use std::cmp::Ordering;
-use std::fs::File;
-use std::io::{BufRead as _, BufReader, ErrorKind as IoKind, Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Stdio};
 use std::vec::IntoIter;
 
 use image::RgbImage;
@@ -14,13 +11,10 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{FileKind, GraspId, read_regular};
 use gripcast_dataset::{Dataset, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role, crop_and_resize};
+use gripcast_interop::video::Video;
 
-/// Maximum width and height of a frame, px.
-const MAX_SIDE: u32 = 8192;
 /// Size of a cropped image, px.
 const CROPPED: [u32; 2] = [320, 240];
-/// Maximum length of what ffmpeg says that is repeated, bytes.
-const MAX_MESSAGE: u64 = 2000;
 
 /// One frame: its name, and its image or why there is none.
 pub(super) type NamedFrame = (String, Result<RgbImage>);
@@ -86,7 +80,10 @@ impl Iterator for Recording {
                 (file_name(&path), read_image(decoder, &path))
             }
             Frames::Grasp(frames) => return frames.next(),
-            Frames::Video(video) => video.next()?,
+            Frames::Video(video) => {
+                let number = video.frames();
+                (number.to_string(), video.next()?)
+            }
         };
         let image = image.and_then(|image| cropped(image, self.crop.as_ref()));
         Some((name, image))
@@ -174,153 +171,6 @@ fn next_run<'a>(rest: &mut &'a str) -> Option<&'a str> {
     let (run, after) = rest.split_at(end);
     *rest = after;
     (!run.is_empty()).then_some(run)
-}
-
-/// A video, decoded by the system's ffmpeg.
-struct Video {
-    path: PathBuf,
-    child: Child,
-    output: BufReader<ChildStdout>,
-    messages: File,
-    frames: usize,
-    has_failed: bool,
-}
-
-impl Video {
-    fn open(path: &Path) -> Result<Self> {
-        File::open(path)
-            .map_err(|e| Error::io("cannot open the recording", e).at(path.display()))?;
-        let messages =
-            tempfile::tempfile().map_err(|e| Error::io("cannot create a temporary file", e))?;
-        let stderr = messages
-            .try_clone()
-            .map_err(|e| Error::io("cannot use a temporary file", e))?;
-        // PPM, because each of its images has its own size. New times in steps of a frame keep
-        // every frame of a video whose rate varies.
-        let mut child = Command::new("ffmpeg")
-            .args(["-nostdin", "-v", "level+warning", "-i"])
-            .arg(path)
-            .args([
-                "-map",
-                "0:v:0",
-                "-noautoscale",
-                "-vf",
-                "setpts=N/(25*TB)",
-                "-r",
-                "25",
-            ])
-            .args(["-f", "image2pipe", "-c:v", "ppm", "-"])
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(stderr)
-            .spawn()
-            .map_err(|e| ffmpeg_error(e).at(path.display()))?;
-        let output = child.stdout.take();
-        let output = output.ok_or_else(|| Error::internal("ffmpeg has no output"))?;
-        Ok(Self {
-            path: path.to_owned(),
-            child,
-            output: BufReader::new(output),
-            messages,
-            frames: 0,
-            has_failed: false,
-        })
-    }
-
-    fn next(&mut self) -> Option<NamedFrame> {
-        if self.has_failed {
-            return None;
-        }
-        let image = read_ppm(&mut self.output)
-            .map_err(|e| Error::io("cannot read the video from ffmpeg", e).at(self.path.display()))
-            .transpose()?;
-        self.has_failed = image.is_err();
-        self.frames += 1;
-        Some((self.frames.saturating_sub(1).to_string(), image))
-    }
-
-    /// Waits for ffmpeg; its errors are errors, and its warnings of damaged data.
-    fn close(mut self) -> Result<()> {
-        drop(self.output);
-        let cannot = |e| Error::io("cannot wait for ffmpeg", e);
-        let status = self.child.wait().map_err(cannot)?;
-        let mut text = String::new();
-        self.messages.seek(SeekFrom::Start(0)).map_err(cannot)?;
-        let mut bytes = Vec::new();
-        self.messages
-            .take(MAX_MESSAGE)
-            .read_to_end(&mut bytes)
-            .map_err(cannot)?;
-        text.push_str(String::from_utf8_lossy(&bytes).trim());
-        let damage = text.lines().find(|line| tells_damage(line));
-        if status.success() && damage.is_none() && self.frames > 0 {
-            return Ok(());
-        }
-        let found = match self.frames {
-            0 => "the video has no frame that ffmpeg can decode".to_owned(),
-            frames => format!("the video is damaged; ffmpeg decoded {frames} frames"),
-        };
-        let message = damage.or(text.lines().next()).unwrap_or("no message");
-        Err(Error::input(format!("{found}: {message}"))
-            .at(self.path.display())
-            .remedy("record or copy it again, or extract its frames to a folder and give that"))
-    }
-}
-
-/// Whether a message of ffmpeg is of damage. A file that ends early is only worth a warning to it.
-fn tells_damage(line: &str) -> bool {
-    let words = ["corrupt", "truncated", "partial file", "conceal"];
-    !line.contains("[warning]") || words.iter().any(|word| line.contains(word))
-}
-
-/// Explains that ffmpeg cannot be started.
-pub(super) fn ffmpeg_error(error: std::io::Error) -> Error {
-    if error.kind() != IoKind::NotFound {
-        return Error::io("cannot start ffmpeg", error);
-    }
-    Error::not_found("videos need the program ffmpeg, which is not installed").remedy(
-        "install it (`sudo apt install ffmpeg`), or extract the frames on a machine that has it \
-         (`ffmpeg -i VIDEO FOLDER/%06d.png`) and give the folder",
-    )
-}
-
-/// Reads one image of a stream of PPM images; `None` at its end.
-fn read_ppm(input: &mut BufReader<ChildStdout>) -> std::io::Result<Option<RgbImage>> {
-    let invalid = |what: String| std::io::Error::new(IoKind::InvalidData, what);
-    if input.fill_buf()?.is_empty() {
-        return Ok(None);
-    }
-    let mut header = [0_u32; 3];
-    let mut line = String::new();
-    let mut numbers = Vec::new();
-    while numbers.len() < 1 + header.len() {
-        line.clear();
-        if input.take(64).read_line(&mut line)? == 0 {
-            return Err(invalid("the last image is cut off".to_owned()));
-        }
-        numbers.extend(line.split_whitespace().map(str::to_owned));
-    }
-    if numbers[0] != "P6" {
-        return Err(invalid(format!(
-            "expected a PPM image, found `{}`",
-            numbers[0]
-        )));
-    }
-    for (value, text) in header.iter_mut().zip(&numbers[1..]) {
-        *value = text
-            .parse()
-            .map_err(|_| invalid(format!("expected a number, found `{text}`")))?;
-    }
-    let [width, height, maximum] = header;
-    let is_valid = |side: u32| (1..=MAX_SIDE).contains(&side);
-    if !is_valid(width) || !is_valid(height) || maximum != 255 {
-        return Err(invalid(format!(
-            "expected 8-bit images, found {width}×{height}×{maximum}"
-        )));
-    }
-    let mut pixels = vec![0; 3 * width as usize * height as usize];
-    input.read_exact(&mut pixels)?;
-    Ok(RgbImage::from_raw(width, height, pixels))
 }
 
 #[cfg(test)]

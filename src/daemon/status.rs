@@ -396,6 +396,7 @@ mod tests {
             contact_fraction: 0.0,
             illumination_levels: 12.0,
             is_other_gel: false,
+            view_problem: None,
         };
         let gel = GelStatus::new(gel, Some(change), 0.005);
         assert!(gel.messages[0].contains("flickers"));

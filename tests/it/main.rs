@@ -28,6 +28,7 @@ mod help;
 mod hostile;
 mod hostile_synth;
 mod imaging;
+mod import_videos;
 mod json_schema;
 mod kernel;
 mod model_contract;

@@ -25,6 +25,8 @@ mod live;
 mod pose;
 mod pose_scenes;
 mod predict;
+mod real_alarm;
+mod real_clips;
 mod render;
 mod rigid;
 mod rigid_grasps;
@@ -71,6 +73,8 @@ enum Bench {
     Pose(pose::Args),
     /// `gripcast bench predict` with baseline engines
     Predict(predict::Args),
+    /// Contact, tracking, predictions and alarms on recorded grasps of two fingers
+    RealClips(real_clips::Args),
     /// Tactile and visual rendering
     Render(render::Args),
     /// Rigid-body grasps, compared with PyBullet
@@ -94,6 +98,7 @@ fn main() -> ExitCode {
         Bench::Live(args) => live::run(&context, &args),
         Bench::Pose(args) => pose::run(&context, &args),
         Bench::Predict(args) => predict::run(&context, &args),
+        Bench::RealClips(args) => real_clips::run(&context, &args),
         Bench::Render(args) => render::run(&context, args),
         Bench::Rigid(args) => rigid::run(&context, &args),
         Bench::Synth(args) => synth::run(&context, &args),

@@ -46,6 +46,7 @@ pub use flat_print::FlatPrint;
 pub use frame::{Frame, FrameBytes, FramePool, MAX_SIDE, PixelFormat, Role};
 pub use gel::{
     ChangeKind, GelCells, GelChange, GelMonitor, GelProblem, GelState, MIN_CONTACT_FRACTION,
+    ViewProblem,
 };
 pub use gel_pattern::{GelContact, gel_image, synthetic_gel};
 pub use intrinsics::{DistortionModel, Intrinsics};

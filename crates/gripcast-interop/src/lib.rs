@@ -4,3 +4,4 @@ pub mod export;
 pub mod hdf5;
 pub mod import;
 mod left_out;
+pub mod video;

@@ -154,6 +154,30 @@ fn network_and_both_engines_agree() {
     }
 }
 
+/// Finite weights whose sums overflow: infinity minus infinity is NaN, and a ReLU would turn it into 0.
+#[test]
+fn weights_that_overflow_give_an_error_and_no_verdict() {
+    let mut draw = SeedStream::named(8, "export");
+    let network = network(&Architecture::gripcast(), Modality::T, &mut draw);
+    let bytes = to_onnx(&network, &contract(Modality::T, 1.0)).unwrap();
+    let mut proto = onnx::decode(&bytes).unwrap();
+    let weights = proto.graph.as_mut().unwrap().initializer.iter_mut();
+    for tensor in weights.filter(|tensor| tensor.dims.len() == 4) {
+        for value in tensor.raw_data.as_chunks_mut::<4>().0 {
+            *value = (1e20 * f32::from_le_bytes(*value)).to_le_bytes();
+        }
+    }
+    let error = match Model::from_bytes(&prost::Message::encode_to_vec(&proto)) {
+        Err(error) => error,
+        Ok(model) => {
+            assert!(!model.is_native());
+            let (input, _) = images(&model, &mut draw);
+            model.predict(&input).unwrap_err()
+        }
+    };
+    assert!(error.to_string().contains("NaN"), "{error}");
+}
+
 #[test]
 fn altered_graph_runs_on_tract() {
     let mut draw = SeedStream::named(4, "export");

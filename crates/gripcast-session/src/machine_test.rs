@@ -179,6 +179,7 @@ const HELD: GelChange = GelChange {
     contact_fraction: 0.2,
     illumination_levels: 1.0,
     is_other_gel: false,
+    view_problem: None,
 };
 
 fn change(contact_fraction: f64, illumination_levels: f64) -> GelChange {
@@ -186,6 +187,7 @@ fn change(contact_fraction: f64, illumination_levels: f64) -> GelChange {
         contact_fraction,
         illumination_levels,
         is_other_gel: false,
+        view_problem: None,
     }
 }
 

@@ -19,6 +19,8 @@ pub enum Needs {
     Charuco,
     /// Two file systems: /dev/shm beside the build directory.
     Disks,
+    /// The program ffmpeg.
+    Ffmpeg,
     /// The User-Mode-Linux kernel of tests/kernel.
     Kernel,
     /// A linter for manual pages.
@@ -36,6 +38,7 @@ impl Needs {
         match self {
             Self::Charuco => "charuco",
             Self::Disks => "disks",
+            Self::Ffmpeg => "ffmpeg",
             Self::Kernel => "kernel",
             Self::Mandoc => "mandoc",
             Self::Python => "python",

@@ -20,6 +20,9 @@ const TILES: [usize; 2] = [5, 4];
 
 /// Minimum level of a clipped channel. JPEG rounds clipped areas by a few levels.
 const CLIPPED_LEVEL: u8 = 250;
+/// Change of a cell from which it counts for the contact level, grey levels: above what video codecs
+/// change in a key frame.
+const CONTACT_FLOOR_LEVELS: f32 = 3.0;
 
 /// A tactile image reduced to 40×30 cells, with what is lost by the reduction: clipping, grain and
 /// texture.
@@ -95,6 +98,35 @@ impl GelCells {
     #[must_use]
     pub fn mean_levels(&self) -> [f32; 3] {
         std::array::from_fn(|c| self.levels[c].iter().sum::<f32>() / CELLS as f32)
+    }
+
+    /// Mean absolute difference of the cells of two images, grey levels.
+    #[must_use]
+    pub fn mean_difference(&self, other: &Self) -> f32 {
+        let pairs = self
+            .levels
+            .iter()
+            .flatten()
+            .zip(other.levels.iter().flatten());
+        pairs.map(|(a, b)| (a - b).abs()).sum::<f32>() / (3 * CELLS) as f32
+    }
+
+    /// Contact level: how strongly something presses on the gel, relative to the initial image, grey
+    /// levels. The mean over the cells of the change of the channel that changed most, less the
+    /// change that half of the cells have (light) and less three grey levels (noise). Unlike a
+    /// [`GelChange`](super::GelChange), it rises with the depth and the area of a contact, but so
+    /// does it with an uneven change of the light.
+    #[must_use]
+    pub fn contact_level(&self, initial: &Self) -> f32 {
+        let mut excess = vec![0.0_f32; CELLS];
+        for (now, before) in self.levels.iter().zip(&initial.levels) {
+            let changes: Vec<f32> = now.iter().zip(before).map(|(a, b)| a - b).collect();
+            let light = quantile(&mut changes.clone(), 0.5);
+            for (excess, change) in excess.iter_mut().zip(changes) {
+                *excess = excess.max((change - light).abs() - CONTACT_FLOOR_LEVELS);
+            }
+        }
+        excess.iter().sum::<f32>() / CELLS as f32
     }
 
     /// Returns the level that a fraction of the cells of each channel is below, 0 to 255.

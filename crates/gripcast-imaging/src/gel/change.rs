@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::cells::{CELLS, COLUMNS, GelCells, ROWS, local_mean, quantile};
+use super::view::ViewProblem;
 
 /// Minimum fraction of the cells with contact structure for a contact, 0 to 1. The smallest
 /// available press, of a 4 mm ball on a GelSight Mini, has 0.05.
@@ -69,6 +70,8 @@ pub struct GelChange {
     pub illumination_levels: f64,
     /// Whether the images show two different gels: the markers of one are not those of the other.
     pub is_other_gel: bool,
+    /// Why the images are not as a GelSight Mini sends them, if so.
+    pub view_problem: Option<ViewProblem>,
 }
 
 /// What changed.
@@ -123,6 +126,7 @@ impl GelChange {
             illumination_levels: f64::from(rms(|field| field.squares)),
             is_other_gel: markers.max(now.covering_texture()) > MARKER_LEVELS
                 && initial.texture_correlation(now) < MIN_TEXTURE_CORRELATION,
+            view_problem: ViewProblem::of(initial, now),
         }
     }
 
@@ -163,6 +167,7 @@ impl GelChange {
             contact_fraction: 0.0,
             illumination_levels: (squares.sum::<f64>() / 3.0).sqrt(),
             is_other_gel: false,
+            view_problem: ViewProblem::of(initial, now),
         }
     }
 }

@@ -144,6 +144,7 @@ fn contact_below_a_strict_limit_is_not_illumination() {
         contact_fraction: 0.02,
         illumination_levels: 9.0,
         is_other_gel: false,
+        view_problem: None,
     };
     assert_eq!(change.kind(0.01), ChangeKind::Contact);
     assert_eq!(change.kind(0.05), ChangeKind::Unchanged);

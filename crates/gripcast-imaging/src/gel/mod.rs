@@ -2,7 +2,8 @@
 //!
 //! [`GelCells`] reduces an image to a grid. [`GelChange`] splits the change between two of them
 //! into a smooth illumination and local structure: only structure is contact. [`GelMonitor`]
-//! follows one gel over time and names its [`GelProblem`]s.
+//! follows one gel over time and names its [`GelProblem`]s. A [`ViewProblem`] is an image that is not
+//! as a GelSight Mini sends it.
 
 mod cells;
 mod change;
@@ -13,7 +14,9 @@ mod monitor;
 mod monitor_test;
 #[cfg(test)]
 mod real_gel_test;
+mod view;
 
 pub use cells::GelCells;
 pub use change::{ChangeKind, GelChange, MIN_CONTACT_FRACTION};
 pub use monitor::{GelMonitor, GelProblem, GelState};
+pub use view::ViewProblem;

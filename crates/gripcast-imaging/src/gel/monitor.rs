@@ -20,11 +20,11 @@ const MAX_PAUSE_NS: u64 = 1_000_000_000;
 
 /// Level that 95 % of a black gel's cells are below, in every channel. Gels have at least 100 in
 /// their brightest channel.
-const BLACK_LEVEL: f32 = 25.0;
+pub(super) const BLACK_LEVEL: f32 = 25.0;
 /// Level that 95 % of the cells are below in the channel of a dead lamp.
-const DEAD_LAMP_LEVEL: f32 = 15.0;
+pub(super) const DEAD_LAMP_LEVEL: f32 = 15.0;
 /// Level that 5 % of the cells exceed in another channel for a lamp to count as dead.
-const LIT_LEVEL: f32 = 50.0;
+pub(super) const LIT_LEVEL: f32 = 50.0;
 /// Maximum fraction of clipped pixels.
 const MAX_CLIPPED: f32 = 0.1;
 /// Maximum mean difference of neighbouring pixels, grey levels. Gels have 1 to 3, with markers 4.

@@ -307,6 +307,13 @@ fn graph_that_violates_the_contract_is_refused() {
             &["`noise` are in an external file"],
         ),
         (
+            |m| {
+                let last = graph(m).node.last().unwrap().output[0].clone();
+                graph(m).node[0].input[0] = last;
+            },
+            &["the graph has a cycle", "`tactile_left_patches`"],
+        ),
+        (
             |m| graph(m).node[0].attribute[1].ints[0] = 0,
             &[
                 "`tactile_left_patches` (AveragePool)",

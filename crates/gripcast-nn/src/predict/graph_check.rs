@@ -33,6 +33,7 @@ pub(super) fn check_graph(contract: &ModelContract, model: &ModelProto) -> Resul
     check_constants(model)?;
     check_operators(graph)?;
     check_windows(graph)?;
+    check_order(graph)?;
     let found = graph_inputs(graph);
     let names: BTreeSet<&str> = found.iter().map(|input| input.name.as_str()).collect();
     let inputs = modality.inputs().into_iter();
@@ -173,6 +174,57 @@ fn check_windows(graph: &GraphProto) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Refuses operators that need each other's results: there is no order to run them in.
+fn check_order(graph: &GraphProto) -> Result<()> {
+    let nodes = graph.node.iter().enumerate();
+    let makers: BTreeMap<&str, usize> = nodes
+        .flat_map(|(at, node)| node.output.iter().map(move |name| (name.as_str(), at)))
+        .filter(|(name, _)| !name.is_empty())
+        .collect();
+    let mut users = vec![Vec::new(); graph.node.len()];
+    let mut waits = vec![0_usize; graph.node.len()];
+    for (at, node) in graph.node.iter().enumerate() {
+        for maker in node
+            .input
+            .iter()
+            .filter_map(|name| makers.get(name.as_str()))
+        {
+            users[*maker].push(at);
+            waits[at] += 1;
+        }
+    }
+    let mut ready: Vec<usize> = (0..waits.len()).filter(|at| waits[*at] == 0).collect();
+    let mut done = 0;
+    while let Some(at) = ready.pop() {
+        done += 1;
+        for user in &users[at] {
+            waits[*user] -= 1;
+            if waits[*user] == 0 {
+                ready.push(*user);
+            }
+        }
+    }
+    if done == waits.len() {
+        return Ok(());
+    }
+    let stuck = graph
+        .node
+        .iter()
+        .zip(&waits)
+        .filter(|(_, waits)| **waits > 0);
+    let names = stuck.map(|(node, _)| match &*node.name {
+        "" => node.output.first().map_or("", String::as_str),
+        name => name,
+    });
+    Err(refusal(format!(
+        "the graph has a cycle: {} need results that are made of their own",
+        list(names.take(3))
+    ))
+    .remedy(format!(
+        "the file is damaged: export the model again with {PYTORCH_EXPORT}"
+    )))
 }
 
 fn shape_of(value: &ValueInfoProto) -> &[TensorDimension] {

@@ -52,6 +52,7 @@ impl Model {
         let mut input = ModelInput::new(contract)?;
         let mut differences = Vec::new();
         let mut changes = Vec::new();
+        let mut gels = Vec::new();
         for name in contract.modality.inputs() {
             match images(name)? {
                 None => {}
@@ -61,6 +62,7 @@ impl Model {
                     let difference = TactileDifference::between(&initial, &grasp)?;
                     let (initial, grasp) = (GelCells::new(&initial)?, GelCells::new(&grasp)?);
                     changes.push(GelChange::between(&initial, &grasp, 0.0));
+                    gels.push([initial, grasp]);
                     input.set_tactile(name, &difference)?;
                     differences.push(difference);
                 }
@@ -72,7 +74,8 @@ impl Model {
             .and_then(|reference| reference.max_score(&differences));
         let label = PredictedLabel::new(prediction.p_stable, prediction.threshold, ood_score);
         let unsure_reason = match &changes[..] {
-            [left, right] => contact_doubt([left, right], label == PredictedLabel::Stable),
+            [left, right] => swapped_doubt(&gels, [left, right])
+                .or_else(|| contact_doubt([left, right], label == PredictedLabel::Stable)),
             _ => None,
         };
         let label = match unsure_reason {
@@ -86,4 +89,16 @@ impl Model {
             unsure_reason,
         })
     }
+}
+
+/// Why the grasp images are those of the other gel, if both are.
+fn swapped_doubt(gels: &[[GelCells; 2]], own: [&GelChange; 2]) -> Option<String> {
+    let [left, right] = gels else { return None };
+    let crossed = [(left, right), (right, left)]
+        .map(|([initial, _], [_, grasp])| GelChange::between(initial, grasp, 0.0));
+    let is_swapped = (0..2).all(|side| GelChange::is_swapped(own[side], &crossed[side]));
+    is_swapped.then(|| {
+        "the grasp images of the two gels are swapped: give each gel its own initial image"
+            .to_owned()
+    })
 }

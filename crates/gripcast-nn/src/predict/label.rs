@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use gripcast_imaging::{ChangeKind, GelChange, MIN_CONTACT_FRACTION};
+use gripcast_imaging::{ChangeKind, GelChange, MIN_CONTACT_FRACTION, ViewProblem};
 
 /// Predicted label of a grasp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -54,14 +54,29 @@ impl PredictedLabel {
     }
 }
 
-/// Why the tactile images of a grasp cannot tell whether it is stable, one sentence: the light on a
-/// gel changed and hides whether something presses, a gel is another one, or a grasp is predicted
+/// Why the tactile images of a grasp cannot tell whether it is stable, one sentence: an image is not as
+/// the sensor sends it (colour order, orientation, gamma, dark), the light on a gel changed and hides whether something presses, a gel is another one, or a grasp is predicted
 /// to be stable that both gels do not feel.
 #[must_use]
 pub fn contact_doubt(changes: [&GelChange; 2], is_stable: bool) -> Option<String> {
     let gels = ["left", "right"].into_iter().zip(changes);
     let gels = gels.map(|(name, change)| (name, change, change.kind(MIN_CONTACT_FRACTION)));
     let of_kind = |kind: ChangeKind| gels.clone().find(|gel| gel.2 == kind);
+    // Of real contacts a tenth look mirrored on one gel, but none on both gels of a grasp.
+    let is_mirrored = changes
+        .iter()
+        .all(|change| change.view_problem == Some(ViewProblem::Mirrored));
+    let mut views = gels
+        .clone()
+        .filter_map(|gel| Some((gel.0, gel.1.view_problem?)))
+        .filter(|(_, problem)| is_mirrored || *problem != ViewProblem::Mirrored);
+    if let Some((name, problem)) = views.next() {
+        return Some(format!(
+            "the image of the {name} gel {}: {}",
+            problem.what(),
+            problem.remedy()
+        ));
+    }
     if let Some((name, ..)) = of_kind(ChangeKind::OtherGel) {
         return Some(format!(
             "the {name} gel is not the one of the initial frame"
@@ -118,12 +133,19 @@ mod tests {
             contact_fraction,
             illumination_levels,
             is_other_gel: false,
+            view_problem: None,
         };
         let (touched, untouched, lit) = (change(0.1, 9.0), change(0.0, 0.1), change(0.001, 12.0));
         let other = GelChange {
             is_other_gel: true,
             ..touched
         };
+        let seen = |problem| GelChange {
+            view_problem: Some(problem),
+            ..touched
+        };
+        let mirrored = seen(ViewProblem::Mirrored);
+        let upside_down = seen(ViewProblem::UpsideDown);
         let doubt = |left, right, is_stable| contact_doubt([left, right], is_stable);
         for is_stable in [true, false] {
             assert_eq!(doubt(&touched, &touched, is_stable), None);
@@ -131,6 +153,14 @@ mod tests {
             assert!(light.contains("light on the right gel"), "{light}");
             assert!(doubt(&lit, &lit, is_stable).is_some());
             assert!(doubt(&other, &touched, is_stable).is_some());
+            assert_eq!(doubt(&touched, &mirrored, is_stable), None);
+            let view = doubt(&mirrored, &mirrored, is_stable).unwrap();
+            assert!(view.contains("is mirrored"), "{view}");
+            let view = doubt(&touched, &upside_down, is_stable).unwrap();
+            assert!(
+                view.starts_with("the image of the right gel is upside down: "),
+                "{view}"
+            );
         }
         assert_eq!(doubt(&untouched, &touched, false), None);
         let one = doubt(&untouched, &touched, true).unwrap();

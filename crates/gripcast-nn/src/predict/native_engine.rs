@@ -12,6 +12,11 @@ use crate::architecture::{EncoderKind, IMAGE, head_name};
 use crate::export::RecognisedNetwork;
 use crate::inference::{Convolution, Dense, Padded};
 
+/// Bound of the values of an input; that of a normalised colour image is 1 / std.
+const INPUT_BOUND: f64 = 1e4;
+/// Bound below which sums of the values of an image cannot overflow.
+const OUTPUT_BOUND: f64 = 1e-6 * f32::MAX as f64;
+
 /// A network ready to run.
 #[derive(Debug)]
 pub(super) struct NativeEngine {
@@ -53,15 +58,19 @@ struct Buffers {
 }
 
 impl NativeEngine {
-    /// Builds the engine for a model; none if its graph is not a gripcast network.
+    /// Builds the engine for a model; none if its graph is not a gripcast network, or if its weights
+    /// are so large that a layer could overflow: a ReLU would turn NaN into 0.
     pub(super) fn new(model: &ModelProto, modality: Modality) -> Option<Self> {
         let graph = RecognisedNetwork::new(model.graph.as_ref()?, modality)?;
         let architecture = &graph.architecture;
         let shapes = architecture.shapes();
         let [height, width, channels] = architecture.pooled();
-        let encoder = |kind: EncoderKind| {
+        let mut largest = INPUT_BOUND;
+        let mut encoder = |kind: EncoderKind| {
+            let mut bound = INPUT_BOUND;
             let convolutions = shapes.iter().enumerate().map(|(at, shape)| {
                 let [weight, bias] = graph.convolution(kind, at, shape.input[2])?;
+                bound = bound_after(bound, &weight, &bias);
                 Some(Convolution::new(*shape, &weight, bias, true))
             });
             // First, so that the sizes below are those of actual data.
@@ -69,6 +78,7 @@ impl NativeEngine {
             let layer = format!("{}.projection", kind.name());
             let means = height * width * channels;
             let [weight, bias] = graph.dense(&layer, means, architecture.embedding_of(kind))?;
+            largest = f64::max(largest, bound_after(bound, &weight, &bias));
             Some(Encoder {
                 kind,
                 convolutions,
@@ -77,14 +87,16 @@ impl NativeEngine {
         };
         let kinds = EncoderKind::ALL.into_iter();
         let kinds = kinds.filter(|kind| kind.is_in(modality));
-        let encoders = kinds.map(encoder).collect::<Option<_>>()?;
+        let encoders = kinds.map(&mut encoder).collect::<Option<_>>()?;
         let heads = architecture.heads(modality).into_iter().map(|head| {
             let (name, joined) = (head_name(head, modality), architecture.joined(head));
             let sizes = [joined, architecture.hidden];
             let [hidden, hidden_bias] =
                 graph.dense(&format!("{name}.hidden"), sizes[0], sizes[1])?;
             let [logit, logit_bias] = graph.dense(&format!("{name}.logit"), sizes[1], 1)?;
-            Some(Head {
+            let bound = bound_after(largest, &hidden, &hidden_bias);
+            let is_bounded = bound_after(bound, &logit, &logit_bias) <= OUTPUT_BOUND;
+            is_bounded.then(|| Head {
                 modality: head,
                 hidden: Dense::new(joined, &hidden, hidden_bias, true),
                 logit: Dense::new(architecture.hidden, &logit, logit_bias, false),
@@ -159,6 +171,18 @@ impl NativeEngine {
             geometry,
         })
     }
+}
+
+/// Bound of what a layer answers, and of its sums, for inputs within a bound.
+fn bound_after(bound: f64, weight: &[f32], bias: &[f32]) -> f64 {
+    let max = |values: &[f32]| {
+        values
+            .iter()
+            .fold(0.0, |max: f64, x| max.max(f64::from(x.abs())))
+    };
+    let inputs = weight.len() / bias.len().max(1);
+    // At least the bound, so that a layer of small weights hides no overflow before it.
+    bound.max(bound * max(weight) * inputs as f64 + max(bias))
 }
 
 impl Encoder {
