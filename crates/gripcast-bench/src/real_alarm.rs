@@ -46,15 +46,16 @@ pub(crate) struct AlarmFigures {
     pub(crate) told_ahead: BTreeMap<String, Option<Figure>>,
 }
 
+/// A figure of clips with a loss and clips without.
+type AlarmFigure<'a> = dyn Fn(&[&ScoredClip], &[&ScoredClip]) -> Option<f64> + 'a;
+
 /// Scores an alarm on the losses within `frames` after the contact. No frame beyond its end counts,
 /// so that the length of a clip says nothing.
 pub(crate) fn alarm_figures(clips: &[ScoredClip], frames: std::ops::Range<usize>) -> AlarmFigures {
     let is_loss = |clip: &&ScoredClip| clip.loss.is_some_and(|loss| frames.contains(&loss));
     let losses: Vec<&ScoredClip> = clips.iter().filter(is_loss).collect();
     let held: Vec<&ScoredClip> = clips.iter().filter(|clip| clip.loss.is_none()).collect();
-    let figure = |of: &dyn Fn(&[&ScoredClip], &[&ScoredClip]) -> Option<f64>| {
-        with_interval(&losses, &held, of)
-    };
+    let figure = |of: &AlarmFigure<'_>| with_interval(&losses, &held, of);
     let concordance = AHEAD.map(|ahead| {
         let value = figure(&|losses, held| concordance(losses, held, ahead));
         (format!("{ahead}"), value)
@@ -119,7 +120,7 @@ fn told_ahead(
 fn with_interval(
     losses: &[&ScoredClip],
     held: &[&ScoredClip],
-    of: &dyn Fn(&[&ScoredClip], &[&ScoredClip]) -> Option<f64>,
+    of: &AlarmFigure<'_>,
 ) -> Option<Figure> {
     let value = of(losses, held)?;
     let mut objects: Vec<&str> = losses

@@ -158,8 +158,9 @@ fn network_and_both_engines_agree() {
 #[test]
 fn weights_that_overflow_give_an_error_and_no_verdict() {
     let mut draw = SeedStream::named(8, "export");
-    let network = network(&Architecture::gripcast(), Modality::T, &mut draw);
-    let bytes = to_onnx(&network, &contract(Modality::T, 1.0)).unwrap();
+    let architecture = Architecture::gripcast();
+    let network = network(&architecture, Modality::T, &mut draw);
+    let bytes = to_onnx(&network, &contract(&architecture, Modality::T, 1.0)).unwrap();
     let mut proto = onnx::decode(&bytes).unwrap();
     let weights = proto.graph.as_mut().unwrap().initializer.iter_mut();
     for tensor in weights.filter(|tensor| tensor.dims.len() == 4) {
