@@ -15,10 +15,10 @@ use std::path::{Path, PathBuf};
 use image::RgbImage;
 use serde_json::{Value, json};
 
+use super::flags::above_zero;
 use super::flags::{ERROR_RATE, number};
 use super::predict_conformal::{self, ConformalArgs};
 use super::predict_stamp::{self, StampArgs};
-use super::flags::above_zero;
 use super::{Context, print_report};
 use crate::note;
 use gripcast_base::error::{Error, Result};
@@ -221,14 +221,12 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
             }
         };
         match name {
-            InputName::TactileLeft => tactile(
-                args.initial_left.as_deref(),
-                args.grasp_left.as_deref(),
-            ),
-            InputName::TactileRight => tactile(
-                args.initial_right.as_deref(),
-                args.grasp_right.as_deref(),
-            ),
+            InputName::TactileLeft => {
+                tactile(args.initial_left.as_deref(), args.grasp_left.as_deref())
+            }
+            InputName::TactileRight => {
+                tactile(args.initial_right.as_deref(), args.grasp_right.as_deref())
+            }
             InputName::Rgb => {
                 let rgb = args.rgb.as_deref();
                 let rgb = rgb.map(|rgb| image(rgb, &CropProfile::FULL)).transpose()?;

@@ -24,7 +24,8 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
 use gripcast_nn::predict::contract::Modality;
 use gripcast_train::{
-    Finished, RunFolder, Samples, StartModel, TrainEvent, TrainSettings, Trained, fine_tune, finish, train,
+    Finished, RunFolder, Samples, StartModel, TrainEvent, TrainSettings, Trained, fine_tune,
+    finish, train,
 };
 
 /// Arguments.

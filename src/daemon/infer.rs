@@ -19,9 +19,7 @@ use super::histogram::LatencyHistogram;
 use super::hub::{Decoded, Hub};
 use super::live_lift::{LiveLift, draw_outline};
 use super::shear::{GelForces, GelScale, GelTrackers, draw_markers};
-use super::status::{
-    LiftStatus, LiveMarkers, PredictionStatus, Preview, ShearStatus, verdict_of,
-};
+use super::status::{LiftStatus, LiveMarkers, PredictionStatus, Preview, ShearStatus, verdict_of};
 use super::tasks::{Heartbeat, Tasks};
 use super::thread::lock;
 use gripcast_base::error::Result;
@@ -29,8 +27,8 @@ use gripcast_capture::camera::monotonic_ns;
 use gripcast_dataset::{AdaptedPrediction, OpenOutcomes, PredictionRecord};
 use gripcast_imaging::{GelChange, GelState, Role, TactileDifference};
 use gripcast_nn::predict::{
-    Adaptation, ConformalLimits, Depth, LivePrediction, LivePredictor, Model, PredictedLabel, Smoothing,
-    contact_doubt,
+    Adaptation, ConformalLimits, Depth, LivePrediction, LivePredictor, Model, PredictedLabel,
+    Smoothing, contact_doubt,
 };
 use gripcast_shear::{FingerForce, GelMotion, MarkerField, ShearFrame};
 
@@ -454,7 +452,10 @@ impl Worker {
     /// where the model sees it.
     fn with_outline(&self, role: Role, decoded: &Decoded) -> Arc<RgbImage> {
         let geometry = match role {
-            Role::Rgb => lock(&self.state).live.as_ref().and_then(|l| l.record.geometry),
+            Role::Rgb => lock(&self.state)
+                .live
+                .as_ref()
+                .and_then(|l| l.record.geometry),
             _ => None,
         };
         let Some(geometry) = geometry else {
@@ -473,9 +474,10 @@ impl Worker {
             return;
         };
         if let Some(status) = lift.add(head, role, motion, time_ns) {
-            self.hub.tap.json(Topic::Prediction, || {
-                serde_json::json!({ "lift": status, "frame_time_ns": time_ns })
-            });
+            self.hub.tap.json(
+                Topic::Prediction,
+                || serde_json::json!({ "lift": status, "frame_time_ns": time_ns }),
+            );
             lock(&self.state).lift = Some(status);
         }
     }

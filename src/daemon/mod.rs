@@ -45,8 +45,8 @@ pub use shear::{GelForces, GelScale};
 pub use start_report::{StartFinding, StartSubject};
 pub(crate) use status::disk_free_bytes;
 pub use status::{
-    CameraStatus, EngineStatus, GelStatus, LiftStatus, LiveMarkers, MarkerStatus, PredictionStatus, Preview,
-    ShearStatus, unsure_words, verdict_of,
+    CameraStatus, EngineStatus, GelStatus, LiftStatus, LiveMarkers, MarkerStatus, PredictionStatus,
+    Preview, ShearStatus, unsure_words, verdict_of,
 };
 pub use tasks::{Heartbeat, TaskReport, TaskState, Tasks};
 pub(crate) use thread::lock;

@@ -91,13 +91,8 @@ impl GraspGeometry {
     pub fn near_face(&self) -> [DVec3; 4] {
         let [left, right] = self.x_m;
         let [above, below] = self.y_m;
-        [
-            [left, above],
-            [right, above],
-            [right, below],
-            [left, below],
-        ]
-        .map(|[x, y]| DVec3::new(x, y, self.z_m[0]))
+        [[left, above], [right, above], [right, below], [left, below]]
+            .map(|[x, y]| DVec3::new(x, y, self.z_m[0]))
     }
 }
 

@@ -6,14 +6,12 @@
 
 use tract_onnx::pb::{GraphProto, NodeProto, TensorProto, tensor_proto::DataType};
 
-use crate::architecture::{
-    Architecture, ConvSpec, EncoderKind, GEOMETRY, IMAGE, Param, head_name,
-};
+use crate::architecture::{Architecture, ConvSpec, EncoderKind, GEOMETRY, IMAGE, Param, head_name};
 use crate::network::Network;
 use crate::predict::ModelContract;
 use crate::predict::contract::{
-    GEOMETRY_SHAPE, INPUT_SHAPE, InputName, Modality, OUTPUT_SHAPE, geometry_output,
-    is_fallback, output_of,
+    GEOMETRY_SHAPE, INPUT_SHAPE, InputName, Modality, OUTPUT_SHAPE, geometry_output, is_fallback,
+    output_of,
 };
 use crate::predict::onnx::{Attribute, OPEN_BATCH, OnnxGraphBuilder, Value};
 use gripcast_base::error::{Error, Result};
@@ -129,7 +127,9 @@ fn write_nodes(
         let own = embeddings.iter().filter(|(input, _)| head.has(*input));
         let own: Vec<&Value> = own.map(|(_, value)| value).collect();
         // Nodes of the head of all inputs have short names.
-        let suffix = head_name(head, modality).trim_start_matches("head").to_owned();
+        let suffix = head_name(head, modality)
+            .trim_start_matches("head")
+            .to_owned();
         let node = |what: &str| format!("{what}{suffix}");
         let layer = |what: &str| format!("head{suffix}.{what}");
         let joined = match &own[..] {

@@ -9,11 +9,7 @@ use crate::predict::contract::{
 use crate::predict::{Depth, Model, ModelInput, PointMap, SHIPPED, model_bytes, onnx};
 use gripcast_base::random::SeedStream;
 
-fn contract(
-    architecture: &Architecture,
-    modality: Modality,
-    temperature: f64,
-) -> ModelContract {
+fn contract(architecture: &Architecture, modality: Modality, temperature: f64) -> ModelContract {
     let heads = architecture.heads(modality).into_iter().skip(1).enumerate();
     let fallbacks = heads.map(|(i, modality)| OutputSpec {
         modality,
@@ -138,7 +134,12 @@ fn network_and_both_engines_agree() {
                     assert_eq!(found.modality, output.modality);
                     assert_eq!(found.threshold, output.threshold);
                     let error = (found.p_stable - expected).abs();
-                    assert!(error < 1e-5, "{}: {} {expected}", output.modality, found.p_stable);
+                    assert!(
+                        error < 1e-5,
+                        "{}: {} {expected}",
+                        output.modality,
+                        found.p_stable
+                    );
                     let Some((_, expected)) = geometry else {
                         assert_eq!(found.geometry, None);
                         continue;

@@ -39,7 +39,9 @@ fn batch(modality: Modality, count: usize, draw: &mut impl FnMut() -> f64) -> Ba
         vision: images(count * usize::from(modality.has_vision())),
         depth: images(count * usize::from(modality.has_depth())),
         available: Vec::new(),
-        geometry: (0..count * GEOMETRY).map(|i| 0.1 * (i % 7) as f32).collect(),
+        geometry: (0..count * GEOMETRY)
+            .map(|i| 0.1 * (i % 7) as f32)
+            .collect(),
         targets: (0..count).map(|i| (i % 2) as f32).collect(),
         weights: (0..count).map(|i| 0.5 + i as f32).collect(),
     }
@@ -67,12 +69,7 @@ fn case(scope: Scope) -> (Network, Batch, Step) {
 
 #[test]
 fn gradients_match_finite_differences() {
-    for scope in [
-        Scope::All,
-        Scope::FixedStats,
-        Scope::Head,
-        Scope::Geometry,
-    ] {
+    for scope in [Scope::All, Scope::FixedStats, Scope::Head, Scope::Geometry] {
         let (network, batch, step) = case(scope);
         let mut gradient = vec![0.0; network.parameters.len()];
         network.clone().train_step(&batch, &step, &mut gradient);
@@ -230,10 +227,17 @@ fn geometry_is_learnt_without_touch_and_labels() {
         .filter(|param| gradient[param.range()].iter().any(|slope| *slope != 0.0))
         .map(|param| param.name.split('.').next().unwrap())
         .collect();
-    assert!(touched.iter().all(|name| ["vision", "depth"].contains(name)));
+    assert!(
+        touched
+            .iter()
+            .all(|name| ["vision", "depth"].contains(name))
+    );
     assert!(touched.contains(&"depth") && touched.contains(&"vision"));
     let touch = layout.encoders[0].stats[0][0].clone();
-    assert_eq!(network.running_stats[touch.clone()], before.running_stats[touch]);
+    assert_eq!(
+        network.running_stats[touch.clone()],
+        before.running_stats[touch]
+    );
     assert!(network.running_stats != before.running_stats);
 }
 

@@ -75,7 +75,9 @@ impl Predictor {
         let initial = both(initial, "initial")?;
         let grasp = both(grasp, "grasp")?;
         let rgb = rgb.map(|rgb| image(&rgb, "rgb")).transpose()?;
-        let depth = depth.map(|depth| depth_counts(&depth, "depth")).transpose()?;
+        let depth = depth
+            .map(|depth| depth_counts(&depth, "depth"))
+            .transpose()?;
         let gels = match (&initial, &grasp) {
             (Some(initial), Some(grasp)) => Some([initial, grasp]),
             (None, None) => None,
@@ -180,8 +182,10 @@ impl Predictor {
 }
 
 fn missing(argument: &str) -> Error {
-    Error::usage(format!("expected `{argument}` beside the other tactile images, found None"))
-        .remedy("give `initial` and `grasp`, each the images of both gels, (left, right)")
+    Error::usage(format!(
+        "expected `{argument}` beside the other tactile images, found None"
+    ))
+    .remedy("give `initial` and `grasp`, each the images of both gels, (left, right)")
 }
 
 fn tactile(image: &RgbImage, crop: Option<&CropProfile>, name: &str) -> Result<RgbImage> {

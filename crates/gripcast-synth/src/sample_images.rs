@@ -13,8 +13,8 @@ use gripcast_tactile::{
     SensorVariation, SimulatedGel, TactileScene, depth_under_force, foundation_pa_m,
 };
 use gripcast_visual::{
-    ColourSettings, DepthSettings, GraspState, Model, RenderControl, RenderSettings, Renderer, View,
-    VisualRandomisation, denoise, develop, grasp_scene, measure_depth,
+    ColourSettings, DepthSettings, GraspState, Model, RenderControl, RenderSettings, Renderer,
+    View, VisualRandomisation, denoise, develop, grasp_scene, measure_depth,
 };
 
 use super::plan::RenderingPlan;

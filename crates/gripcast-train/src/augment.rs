@@ -339,8 +339,8 @@ fn write_points(
         return;
     }
     for _ in 0..draw.index(4) {
-        let [height, width] =
-            [HEIGHT, WIDTH].map(|side| (draw.uniform() * augmentation.depth_holes * side as f64) as usize);
+        let [height, width] = [HEIGHT, WIDTH]
+            .map(|side| (draw.uniform() * augmentation.depth_holes * side as f64) as usize);
         let (top, left) = (draw.index(HEIGHT - height), draw.index(WIDTH - width));
         for row in to.chunks_exact_mut(3 * WIDTH).skip(top).take(height) {
             row[3 * left..3 * (left + width)].fill(0.0);

@@ -8,8 +8,8 @@ use super::augment::{FLOATS, InputWriter, SampleImages, Slots, Written};
 use super::samples::{SampleFacts, SampleReader, Samples};
 use gripcast_base::error::Result;
 use gripcast_imaging::Decoder;
-use gripcast_nn::{Batch, GEOMETRY};
 use gripcast_nn::predict::contract::{GEOMETRY_UNIT_M, Modality, RgbNormalisation};
+use gripcast_nn::{Batch, GEOMETRY};
 
 /// Samples used for the mean and standard deviation of the colour image.
 const NORMALISATION_SAMPLES: usize = 256;
@@ -131,7 +131,9 @@ impl<'a> Batches<'a> {
                 .iter()
                 .map(|written| written.available.unwrap_or(Modality::T))
                 .collect(),
-            targets: facts().map(|facts| f32::from(u8::from(facts.is_stable))).collect(),
+            targets: facts()
+                .map(|facts| f32::from(u8::from(facts.is_stable)))
+                .collect(),
             weights: samples.iter().map(|i| self.weights[*i]).collect(),
             touch,
             vision,

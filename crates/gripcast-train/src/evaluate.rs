@@ -189,13 +189,17 @@ pub fn evaluate(
     for (file, model) in models {
         let contract = model.contract();
         let before = outputs.len();
-        let usable = contract.outputs().filter(|o| available.includes(o.modality));
+        let usable = contract
+            .outputs()
+            .filter(|o| available.includes(o.modality));
         outputs.extend(usable.map(|output| (file, model, output)));
         if outputs.len() == before {
             let what = format!("the model needs {}", contract.modality.words());
-            return Err(Error::input(format!("{what}, the dataset has {}", available.words()))
-                .at(file)
-                .remedy("evaluate it on a dataset with depth images"));
+            return Err(
+                Error::input(format!("{what}, the dataset has {}", available.words()))
+                    .at(file)
+                    .remedy("evaluate it on a dataset with depth images"),
+            );
         }
         if !available.includes(contract.modality) {
             warnings.push(format!(
@@ -211,7 +215,13 @@ pub fn evaluate(
         let before = i * samples.facts().len();
         let on_progress = |done| on_progress(before + done, total);
         let predictions = predict(model, output.modality, samples, &on_progress)?;
-        evaluated.push(ModelEvaluation::new(file, model, output, samples, predictions));
+        evaluated.push(ModelEvaluation::new(
+            file,
+            model,
+            output,
+            samples,
+            predictions,
+        ));
     }
     let differences = evaluated.iter().skip(1);
     let differences = differences
@@ -359,15 +369,12 @@ pub(super) fn predict(
                 |buffers: &mut Option<(Decoder, ModelInput)>, (rows, row)| {
                     let (decoder, input) = match buffers {
                         Some(buffers) => buffers,
-                        none => {
-                            none.insert((Decoder::new()?, ModelInput::new(model.contract())?))
-                        }
+                        none => none.insert((Decoder::new()?, ModelInput::new(model.contract())?)),
                     };
                     let row = &rows[*row];
                     let used = Modality::of(|name| name.role().is_tactile() || inputs.has(name));
-                    let images =
-                        SampleImages::decode(decoder, &row.images, used.unwrap_or(inputs))
-                            .map_err(|e| e.at(&row.facts.id))?;
+                    let images = SampleImages::decode(decoder, &row.images, used.unwrap_or(inputs))
+                        .map_err(|e| e.at(&row.facts.id))?;
                     let in_contact = set_input(&images, inputs, input)?;
                     Ok((model.predict(input)?.p_stable, in_contact))
                 },

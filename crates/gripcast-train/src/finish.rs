@@ -98,7 +98,12 @@ pub fn finish(
     let start = known;
     let compared = |start: &StartModel| -> Result<Comparison> {
         let before = logits_of(start.network())?;
-        Ok(Comparison::new(start, before.best(), logits.best(), &validation))
+        Ok(Comparison::new(
+            start,
+            before.best(),
+            logits.best(),
+            &validation,
+        ))
     };
     let mut comparison = start.as_ref().map(compared).transpose()?;
     let known = start.as_ref().and_then(StartModel::ood_detector);
@@ -126,9 +131,7 @@ pub fn finish(
 /// Reads the start model of a fine-tuning run.
 fn start_of(folder: &RunFolder, file: &RunFile) -> Result<Option<StartModel>> {
     let fine_tuning = file.settings.fine_tuning.as_ref();
-    fine_tuning
-        .map(|_| StartModel::of_run(folder))
-        .transpose()
+    fine_tuning.map(|_| StartModel::of_run(folder)).transpose()
 }
 
 fn missing_inputs(samples: &Samples) -> Error {

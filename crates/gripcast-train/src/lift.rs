@@ -46,9 +46,8 @@ fn loss(motion: &LiftMotion) -> Option<usize> {
     let before = motion.frames.first()?;
     let is_lost = |frame: &[gripcast_shear::GelMotion; 2]| {
         let gels = frame.iter().zip(before);
-        gels.into_iter().any(|(now, before)| {
-            before.contact_fraction > 0.0 && now.contact_fraction <= 0.0
-        })
+        gels.into_iter()
+            .any(|(now, before)| before.contact_fraction > 0.0 && now.contact_fraction <= 0.0)
     };
     motion.frames.iter().position(is_lost)
 }
@@ -148,9 +147,15 @@ fn train_network(rows: &[Row], seed: u64) -> Option<MotionNetwork> {
         let sum: f64 = rows.iter().map(|row| row.weight * value(row)).sum();
         sum / total
     };
-    let mean: Vec<f64> = (0..FEATURES).map(|i| mean_of(&|row| row.features[i])).collect();
+    let mean: Vec<f64> = (0..FEATURES)
+        .map(|i| mean_of(&|row| row.features[i]))
+        .collect();
     let std: Vec<f64> = (0..FEATURES)
-        .map(|i| mean_of(&|row| (row.features[i] - mean[i]).powi(2)).sqrt().max(1e-3))
+        .map(|i| {
+            mean_of(&|row| (row.features[i] - mean[i]).powi(2))
+                .sqrt()
+                .max(1e-3)
+        })
         .collect();
     let mut draw = SeedStream::named(seed, "lift");
     let bound = (6.0 / FEATURES as f64).sqrt();
@@ -179,7 +184,11 @@ fn train_network(rows: &[Row], seed: u64) -> Option<MotionNetwork> {
         let gradient = gradient(&network, rows, &inputs, total);
         let rate = LEARNING_RATE * (1.0 - (step - 1) as f64 / EPOCHS as f64);
         let [fraction, square_fraction] = [0.9_f64, 0.999].map(|b| 1.0 - b.powi(step as i32));
-        let parameters = network.hidden.iter_mut().flatten().chain(&mut network.output);
+        let parameters = network
+            .hidden
+            .iter_mut()
+            .flatten()
+            .chain(&mut network.output);
         let moments = first.iter_mut().zip(&mut second).zip(gradient);
         for (parameter, ((first, second), slope)) in parameters.zip(moments) {
             *first += 0.1 * (slope - *first);
@@ -337,7 +346,10 @@ impl LiftEvaluation {
         Some(Self {
             lifts: [
                 lifts.len(),
-                lifts.iter().filter(|(facts, _, _)| !facts.is_stable).count(),
+                lifts
+                    .iter()
+                    .filter(|(facts, _, _)| !facts.is_stable)
+                    .count(),
             ],
             points: (0..longest).map(point).collect(),
             alarmed_held: fraction(true),

@@ -54,7 +54,12 @@ fn verdict_improves_in_the_lift_and_warns_of_losses() {
     let found = LiftEvaluation::new(&head, &test, &[0.5; 120]).unwrap();
     assert_eq!(found.lifts, [120, 60]);
     let auroc = |at: usize| found.points[at].auroc.unwrap().estimate;
-    assert!(auroc(4) > 0.97 && auroc(4) > auroc(0), "{} {}", auroc(0), auroc(4));
+    assert!(
+        auroc(4) > 0.97 && auroc(4) > auroc(0),
+        "{} {}",
+        auroc(0),
+        auroc(4)
+    );
     assert!((found.points[1].lifted_m - 1.6e-3).abs() < 1e-12);
     assert!(found.alarmed_held.unwrap().estimate < 0.15);
     assert!(found.alarmed_slips.unwrap().estimate > 0.8);
@@ -64,7 +69,11 @@ fn verdict_improves_in_the_lift_and_warns_of_losses() {
 fn too_few_lifts_with_motion_give_no_head() {
     let folder = tempfile::tempdir().unwrap();
     let [train, validation] = ["train", "validation"].map(|split| {
-        write_split(folder.path(), split, (0..50).map(|number| row(split, number)));
+        write_split(
+            folder.path(),
+            split,
+            (0..50).map(|number| row(split, number)),
+        );
         Samples::open(folder.path(), split).unwrap()
     });
     let logits = vec![
@@ -113,16 +122,30 @@ fn gradient_is_that_of_the_loss() {
     };
     let found = gradient(&network, &rows, &inputs, total);
     let width = FEATURES + 1;
-    for at in [0, FEATURES, 3 * width + 5, HIDDEN * width + 2, HIDDEN * width + HIDDEN] {
+    for at in [
+        0,
+        FEATURES,
+        3 * width + 5,
+        HIDDEN * width + 2,
+        HIDDEN * width + HIDDEN,
+    ] {
         let moved = |way: f64| {
             let mut network = network.clone();
-            let all = network.hidden.iter_mut().flatten().chain(&mut network.output);
+            let all = network
+                .hidden
+                .iter_mut()
+                .flatten()
+                .chain(&mut network.output);
             *all.into_iter().nth(at).unwrap() += way;
             loss(&network)
         };
         // Small, as a unit may switch within a larger step.
         let expected = (moved(1e-7) - moved(-1e-7)) / 2e-7;
         let error = (found[at] - expected).abs();
-        assert!(error < 1e-6 * (1.0 + 10.0 * expected.abs()), "{at}: {} {expected}", found[at]);
+        assert!(
+            error < 1e-6 * (1.0 + 10.0 * expected.abs()),
+            "{at}: {} {expected}",
+            found[at]
+        );
     }
 }

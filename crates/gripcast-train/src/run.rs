@@ -216,7 +216,10 @@ fn check_inputs(modality: Modality, samples: &Samples) -> Result<()> {
     if found.includes(modality) {
         return Ok(());
     }
-    let what = format!("cannot train on {}: the dataset has no depth images", modality.words());
+    let what = format!(
+        "cannot train on {}: the dataset has no depth images",
+        modality.words()
+    );
     Err(Error::input(what)
         .at(samples.root().display())
         .remedy(format!(
@@ -585,10 +588,7 @@ impl<'a> Training<'a> {
     }
 
     /// Evaluates the network on the validation split.
-    fn validate(
-        &self,
-        on_progress: &(dyn Fn(TrainEvent) + Sync),
-    ) -> Result<(Scores, Option<f64>)> {
+    fn validate(&self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<(Scores, Option<f64>)> {
         let total = self.validation.facts().len();
         let logits = logits(
             &self.network,

@@ -160,9 +160,8 @@ impl Samples {
     /// Errors of reading the file.
     pub fn modality(&self) -> Result<Modality> {
         let rows = SampleReader::new(self, 0).rows(&[0])?;
-        let has_depth = |(rows, row): &(Arc<Vec<ShardRow>>, usize)| {
-            rows[*row].images.grasp_depth.is_some()
-        };
+        let has_depth =
+            |(rows, row): &(Arc<Vec<ShardRow>>, usize)| rows[*row].images.grasp_depth.is_some();
         Ok(match rows.iter().any(has_depth) {
             true => Modality::Vtd,
             false => Modality::Vt,

@@ -9,9 +9,7 @@ use super::samples::Samples;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, sha256_hex};
 use gripcast_nn::predict::contract::{InputName, Origin, RgbNormalisation};
-use gripcast_nn::predict::{
-    LiftHead, ModelContract, OodDetector, SHIPPED, lift, model_bytes, ood,
-};
+use gripcast_nn::predict::{LiftHead, ModelContract, OodDetector, SHIPPED, lift, model_bytes, ood};
 use gripcast_nn::{Architecture, Network, from_onnx};
 
 /// A model that `train` wrote, ready to be trained further.

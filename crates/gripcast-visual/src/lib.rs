@@ -48,9 +48,7 @@ pub use appearance::{Appearance, FinishClass, SurfacePattern};
 pub use bitmap_file::{load_bitmap, read_bitmap};
 pub use camera::Camera;
 pub use conditions::{EnvMapSource, GroundSource, VisualConditions, VisualRandomisation};
-pub use d435::{
-    ColourSettings, DepthSettings, colour_camera, develop, measure_depth,
-};
+pub use d435::{ColourSettings, DepthSettings, colour_camera, develop, measure_depth};
 pub use demo::{demo_model, random_finish, typical_finishes};
 pub use denoise::{DENOISE_RADIUS_PX, denoise};
 pub use env_map::EnvMap;

@@ -203,9 +203,9 @@ impl ShardFacts {
             self.geometry.map_or(Cell::Null, |geometry| {
                 Cell::Numbers(geometry.to_array().to_vec())
             }),
-            self.lift.as_ref().map_or(Cell::Null, |lift| {
-                Cell::Numbers(lift.to_values())
-            }),
+            self.lift
+                .as_ref()
+                .map_or(Cell::Null, |lift| Cell::Numbers(lift.to_values())),
         ]
     }
 

@@ -61,7 +61,13 @@ pub(super) fn sample_row(number: u64) -> ShardRow {
         seed: i64::MAX as u64 - number,
         crop_profile: "paper".to_owned(),
         lift: every(2).then(|| LiftMotion {
-            frames: vec![[GelMotion { level: 4.0 + x, ..GelMotion::default() }; 2]; 2],
+            frames: vec![
+                [GelMotion {
+                    level: 4.0 + x,
+                    ..GelMotion::default()
+                }; 2];
+                2
+            ],
         }),
         geometry: every(3).then(|| {
             GraspGeometry::from_array(std::array::from_fn(|i| 0.01 * i as f64 - 0.02 * x))

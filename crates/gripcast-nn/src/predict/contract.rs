@@ -31,8 +31,9 @@ use tract_onnx::pb::{ModelProto, StringStringEntryProto};
 use super::graph_check::{check_graph, list, refusal};
 use super::onnx::OnnxGraphBuilder;
 pub use super::tensors::{
-    GEOMETRY, GEOMETRY_SHAPE, GEOMETRY_UNIT_M, IMAGE_HEIGHT, IMAGE_WIDTH, INPUT_SHAPE, InputName, InputSpec,
-    Modality, OUTPUT, OUTPUT_SHAPE, RgbNormalisation, geometry_output, is_fallback, output_of,
+    GEOMETRY, GEOMETRY_SHAPE, GEOMETRY_UNIT_M, IMAGE_HEIGHT, IMAGE_WIDTH, INPUT_SHAPE, InputName,
+    InputSpec, Modality, OUTPUT, OUTPUT_SHAPE, RgbNormalisation, geometry_output, is_fallback,
+    output_of,
 };
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::CropProfile;
@@ -224,7 +225,8 @@ impl ModelContract {
     /// from them.
     #[must_use]
     pub fn output_from(&self, is_available: impl Fn(InputName) -> bool) -> Option<OutputSpec> {
-        let complete = |output: &OutputSpec| output.modality.inputs().into_iter().all(&is_available);
+        let complete =
+            |output: &OutputSpec| output.modality.inputs().into_iter().all(&is_available);
         self.outputs().find(complete)
     }
 

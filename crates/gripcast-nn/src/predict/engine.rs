@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use tract_onnx::pb::ModelProto;
 use tract_onnx::prelude::{
-    Framework as _, InferenceModelExt as _, IntoRunnable as _, TVec, TValue, Tensor, TractResult,
+    Framework as _, InferenceModelExt as _, IntoRunnable as _, TValue, TVec, Tensor, TractResult,
     TypedRunnableModel, TypedSimpleState,
 };
 use tract_onnx::tract_core::internal::bail;
@@ -73,7 +73,6 @@ pub(super) struct Values {
     /// Geometry in units of 0.03 m.
     pub(super) geometry: Option<[f32; GEOMETRY]>,
 }
-
 
 /// Prediction of one grasp.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -325,7 +324,10 @@ fn run_tract(
         let values = |at: Option<usize>| -> TractResult<Vec<f32>> {
             let value = at.and_then(|at| output.get(at));
             let view = value.map(|value| value.try_as_plain_ram()).transpose()?;
-            let values = view.as_ref().map(|view| view.as_slice::<f32>()).transpose()?;
+            let values = view
+                .as_ref()
+                .map(|view| view.as_slice::<f32>())
+                .transpose()?;
             Ok(values.unwrap_or_default().to_vec())
         };
         let p_stable = match values(p_stable)?[..] {

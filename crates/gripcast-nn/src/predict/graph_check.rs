@@ -9,8 +9,8 @@ use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
 use tract_onnx::pb::{GraphProto, ModelProto, NodeProto, ValueInfoProto, type_proto};
 
 use super::constants::check_constants;
-use super::onnx::PYTORCH_EXPORT;
 use super::contract::ModelContract;
+use super::onnx::PYTORCH_EXPORT;
 use super::tensors::{GEOMETRY_SHAPE, INPUT_SHAPE, OUTPUT_SHAPE, geometry_output, output_of};
 use gripcast_base::error::{Error, Result};
 

@@ -62,7 +62,12 @@ pub enum InputName {
 
 impl InputName {
     /// All inputs in order.
-    pub const ALL: [Self; 4] = [Self::TactileLeft, Self::TactileRight, Self::Rgb, Self::Depth];
+    pub const ALL: [Self; 4] = [
+        Self::TactileLeft,
+        Self::TactileRight,
+        Self::Rgb,
+        Self::Depth,
+    ];
 
     /// Name in the graph.
     #[must_use]
