@@ -10,6 +10,7 @@ from typing_extensions import Unpack
 
 _Floats = npt.NDArray[np.float64]
 _Floats32 = npt.NDArray[np.float32]
+_Depth = npt.NDArray[np.uint16]
 _Image = npt.NDArray[np.uint8]
 _Matrix = npt.ArrayLike
 _Path = str | PathLike[str]
@@ -565,6 +566,10 @@ class Prediction:
     @property
     def threshold(self) -> float: ...
     @property
+    def inputs(self) -> str | None: ...
+    @property
+    def geometry_m(self) -> list[float] | None: ...
+    @property
     def predicted(self) -> Literal["stable", "slip", "unsure"]: ...
     @property
     def ood_score(self) -> float | None: ...
@@ -585,6 +590,7 @@ class Predictor:
         initial: Sequence[_Image] | None = None,
         grasp: Sequence[_Image] | None = None,
         rgb: _Image | None = None,
+        depth: _Depth | None = None,
         *,
         crop: str | None = None,
     ) -> Prediction: ...

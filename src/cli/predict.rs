@@ -214,9 +214,14 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
                 initial: image(initial, &crop)?,
                 grasp: image(grasp, &crop)?,
             })),
-            _ => {
-                let side = name.role();
-                let what = format!("expected both `--initial-{side}` and `--grasp-{side}`");
+            (initial, _) => {
+                let flag = match (name, initial.is_some()) {
+                    (InputName::TactileRight, true) => "--grasp-right",
+                    (InputName::TactileRight, false) => "--initial-right",
+                    (_, true) => "--grasp-left",
+                    (_, false) => "--initial-left",
+                };
+                let what = format!("`{flag} FILE` is needed beside the other images of `{name}`");
                 Err(Error::usage(what))
             }
         };

@@ -174,7 +174,7 @@ limited "$gripcast" --quiet synth merge --plan "$dir/alone" --out "$dir/expected
 say "a single process has made the dataset"
 
 cd "$dir/jobs"
-export GRIPCAST=$gripcast MERGE_FLAGS=--balance none
+export GRIPCAST=$gripcast MERGE_FLAGS="--balance none"
 submitted=$(limited "$examples/slurm-submit.sh" "$dir/plan" "$dir/dataset" "$shards")
 [[ $submitted =~ ^array\ ([0-9]+),\ merge\ ([0-9]+)$ ]] || fail "slurm-submit.sh: $submitted"
 array=${BASH_REMATCH[1]}

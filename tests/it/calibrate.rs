@@ -301,6 +301,7 @@ fn force_is_calibrated_with_weights() {
         rising,
         "--force-n 2.083,4.417,11.879 --json",
     ))));
+    assert_schema("calibrate force", &[&shown]);
     let young_pa = shown["young_pa"].as_f64().unwrap();
     assert!((0.4e6..2e6).contains(&young_pa), "{shown}");
     let stored = ForceCalibration::load(&dir.path().join("left.toml")).unwrap();

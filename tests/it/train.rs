@@ -309,6 +309,7 @@ fn trained_model_predicts_sets_at_an_error_rate() {
     ]);
     conformal.arg(&data).arg("--out").arg(&scored);
     let written = json(&succeed(&mut conformal));
+    assert_schema("predict conformal", &[&written]);
     assert_eq!(
         (&written["slip"], &written["stable"]),
         (&2.into(), &2.into())

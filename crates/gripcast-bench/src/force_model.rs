@@ -15,6 +15,7 @@
 use std::path::{Path, PathBuf};
 
 use gripcast::cli::Context;
+use gripcast::cli::bench::Report;
 use gripcast::cli::working::interruptible;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular, save};
@@ -69,13 +70,9 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     if let Some(file) = &args.out {
         save(file, model.to_toml()?.as_bytes())?;
     }
-    if args.json {
-        let figures = json!({"figures": figures, "decreases": decreases, "model": model});
-        println!("{figures:#}");
-        return Ok(());
-    }
-    println!("{}", text(&figures, &decreases));
-    Ok(())
+    let text = text(&figures, &decreases);
+    let figures = json!({"figures": figures, "decreases": decreases, "model": model});
+    Report::new("force-model", json!({"seed": args.seed}), figures, text).print(args.json)
 }
 
 fn read_presses(file: &Path) -> Result<Vec<SimulatedPress>> {

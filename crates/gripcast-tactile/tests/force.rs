@@ -174,7 +174,6 @@ fn force_of_a_ball_is_that_of_the_finite_elements_and_grows_with_the_depth() {
         let mut before = 0.0;
         for [depth_mm, expected] in BALL_N {
             let force = bench.force(&estimator, 1e-3 * depth_mm);
-            println!("{name} {depth_mm} mm: {} of {expected} N", force.words());
             assert!(force.is_calibrated && force.normal_n > before);
             let limit = 0.25 + 0.1 * expected;
             assert!(

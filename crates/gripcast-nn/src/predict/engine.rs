@@ -236,7 +236,7 @@ impl Model {
     /// Predicts one grasp from the available inputs.
     ///
     /// # Errors
-    /// `Input`: no prediction can be made from the available inputs, or the output is not a
+    /// `Usage`: no prediction can be made from the available inputs. `Input`: the output is not a
     /// probability. When the engine fails.
     pub fn predict(&self, input: &ModelInput) -> Result<Prediction> {
         let started = Instant::now();
@@ -291,7 +291,7 @@ impl Model {
             .filter(|name| !input.is_available(*name))
             .map(InputName::name)
             .collect();
-        Error::input(format!(
+        Error::usage(format!(
             "the model `{}` cannot predict: missing input {}",
             self.contract.name,
             missing.join(", ")

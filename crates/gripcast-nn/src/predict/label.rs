@@ -54,14 +54,22 @@ impl PredictedLabel {
     }
 }
 
-/// Why the tactile images of a grasp cannot tell whether it is stable, one sentence: an image is not as
-/// the sensor sends it (colour order, orientation, gamma, dark), the light on a gel changed and hides whether something presses, a gel is another one, or a grasp is predicted
-/// to be stable that both gels do not feel.
+/// Why the tactile images of a grasp cannot tell whether it is stable, one sentence: the light on a
+/// gel changed and hides whether something presses, an image is not as the sensor sends it (colour
+/// order, orientation, gamma, dark), a gel is another one, or a grasp is predicted to be stable that
+/// both gels do not feel.
 #[must_use]
 pub fn contact_doubt(changes: [&GelChange; 2], is_stable: bool) -> Option<String> {
     let gels = ["left", "right"].into_iter().zip(changes);
     let gels = gels.map(|(name, change)| (name, change, change.kind(MIN_CONTACT_FRACTION)));
     let of_kind = |kind: ChangeKind| gels.clone().find(|gel| gel.2 == kind);
+    // Light may look like exchanged colours or another gamma.
+    if let Some((name, change, _)) = of_kind(ChangeKind::Illumination) {
+        let levels = change.illumination_levels;
+        return Some(format!(
+            "the light on the {name} gel changed by {levels:.0} grey levels, and nothing presses on it"
+        ));
+    }
     // Of real contacts a tenth look mirrored on one gel, but none on both gels of a grasp.
     let is_mirrored = changes
         .iter()
@@ -80,12 +88,6 @@ pub fn contact_doubt(changes: [&GelChange; 2], is_stable: bool) -> Option<String
     if let Some((name, ..)) = of_kind(ChangeKind::OtherGel) {
         return Some(format!(
             "the {name} gel is not the one of the initial frame"
-        ));
-    }
-    if let Some((name, change, _)) = of_kind(ChangeKind::Illumination) {
-        let levels = change.illumination_levels;
-        return Some(format!(
-            "the light on the {name} gel changed by {levels:.0} grey levels, and nothing presses on it"
         ));
     }
     of_kind(ChangeKind::Unchanged).filter(|_| is_stable)?;
