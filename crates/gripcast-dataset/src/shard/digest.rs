@@ -4,6 +4,9 @@ use sha2::{Digest as _, Sha256};
 
 use super::cell::Cell;
 
+/// Columns of the facts in the first files of this format.
+const FIRST_FACTS: usize = 22;
+
 /// Hash of a sequence of cells.
 #[derive(Clone, Default)]
 pub(super) struct ContentHash(Sha256);
@@ -30,6 +33,14 @@ impl ContentHash {
         }
     }
 
+    /// Adds the cells of a row's facts. Nulls of columns that older files lack are left out where no
+    /// value follows, so that those files keep their hash.
+    pub(super) fn add_facts(&mut self, cells: &[Cell<'_>]) {
+        let values = cells.iter().rposition(|cell| *cell != Cell::Null);
+        let count = values.map_or(0, |at| at + 1).max(FIRST_FACTS);
+        cells.iter().take(count).for_each(|cell| self.add(cell));
+    }
+
     /// Returns the hash as 64 hexadecimal digits.
     pub(super) fn finish(self) -> String {
         let bytes = self.0.finalize();
@@ -54,6 +65,25 @@ impl ContentHash {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn later_columns_without_values_leave_the_hash() {
+        let hash = |later: &[Cell<'_>]| {
+            let mut cells = vec![Cell::Integer(1); FIRST_FACTS - 1];
+            cells.push(Cell::Null);
+            cells.extend_from_slice(later);
+            let mut hash = ContentHash::default();
+            hash.add_facts(&cells);
+            hash.finish()
+        };
+        assert_eq!(hash(&[]), hash(&[Cell::Null, Cell::Null]));
+        assert_ne!(hash(&[]), hash(&[Cell::Integer(1)]));
+        let [first, second] = [
+            hash(&[Cell::Integer(1), Cell::Null]),
+            hash(&[Cell::Null, Cell::Integer(1)]),
+        ];
+        assert_ne!(first, second);
+    }
 
     #[test]
     fn hash_depends_on_cell_boundaries() {

@@ -245,7 +245,7 @@ fn hash(rows: &[Vec<Cell<'_>>]) -> GroupHash {
     let mut images = ContentHash::default();
     for row in rows {
         let (scalars, rest) = row.split_at(FACTS.len());
-        scalars.iter().for_each(|cell| facts.add(cell));
+        facts.add_facts(scalars);
         rest.iter().for_each(|cell| images.add(cell));
     }
     GroupHash {

@@ -405,7 +405,7 @@ fn check_hash<T: Sample>(samples: &[T], expected: &GroupHash) -> Result<()> {
     let (mut facts, mut images) = (ContentHash::default(), ContentHash::default());
     let mut has_images = true;
     for sample in samples {
-        sample.facts().cells().iter().for_each(|c| facts.add(c));
+        facts.add_facts(&sample.facts().cells());
         match sample.images() {
             Some(found) => found.cells().iter().for_each(|c| images.add(c)),
             None => has_images = false,

@@ -307,7 +307,7 @@ mod tests {
         // Changes with the format (then bump its version) or with the Parquet crate.
         assert_eq!(
             hash,
-            "d0599186f195edafab41c088986337bea63438ae242619d46496b2dd088f3abc"
+            "a5946d41b6784b7b46c805c0692dd3c97a7b1ca22db64f775ef9fcadca31bf4d"
         );
     }
 
