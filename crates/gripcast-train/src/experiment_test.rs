@@ -23,7 +23,7 @@ fn experiment_trains_tests_and_compares_conditions() {
         pool: [6, 8],
         embedding: 16,
         camera_embedding: 16,
-        geometry: true,
+        geometry: false,
         fallbacks: false,
         hidden: 16,
     };
