@@ -50,7 +50,9 @@ impl ViewProblem {
     /// Judges an initial image and a later one of the same gel.
     pub(super) fn of(initial: &GelCells, now: &GelCells) -> Option<Self> {
         match (View::of(initial), View::of(now)) {
-            (View::Told(problem), _) | (_, View::Told(problem)) => Some(problem),
+            (View::Told(problem), _) => Some(problem),
+            // A strong contact changes the pattern itself.
+            (_, View::Told(Self::Dark)) => Some(Self::Dark),
             (View::Mini, View::Mini) => is_mirrored(initial, now).then_some(Self::Mirrored),
             _ => None,
         }
