@@ -3,6 +3,7 @@
 use crate::note;
 use gripcast_base::error::Result;
 use gripcast_capture::calibration::RigFile;
+use gripcast_imaging::Role;
 use gripcast_nn::predict::contract::InputName;
 use gripcast_nn::predict::{BASELINE, Model, ModelContract, SHIPPED};
 
@@ -12,6 +13,20 @@ use gripcast_nn::predict::{BASELINE, Model, ModelContract, SHIPPED};
 /// # Errors
 /// As [`Model::by_name`].
 pub(crate) fn chosen_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<Option<Model>> {
+    let model = named_model(name, rig, is_quiet)?;
+    let reads_depth = |model: &Model| model.contract().modality.has_depth();
+    let has_depth = rig.cameras.contains_key(&Role::Depth);
+    if has_depth && !rig.is_depth_aligned() && !is_quiet && model.as_ref().is_some_and(reads_depth)
+    {
+        note!(
+            "the depth images of this rig are not aligned to its colour images: the model predicts \
+             without them"
+        );
+    }
+    Ok(model)
+}
+
+fn named_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<Option<Model>> {
     match name {
         "" => {
             let (name, reason) = default_model(rig)?;
@@ -40,7 +55,10 @@ pub(crate) fn default_model(rig: &RigFile) -> Result<(&'static str, Option<Strin
 /// Returns why a model does not suit the cameras of a rig; none if it does. A model that also
 /// predicts from touch alone needs no other camera.
 pub(crate) fn misfit(model: &ModelContract, rig: &RigFile) -> Option<String> {
-    let has = |name: InputName| rig.cameras.contains_key(&name.role());
+    let has = |name: InputName| match name {
+        InputName::Depth => rig.is_depth_aligned(),
+        _ => rig.cameras.contains_key(&name.role()),
+    };
     let usable = model.output_from(has).map(|output| output.modality);
     let usable = usable.filter(|usable| usable.has_touch() || !model.modality.has_touch());
     for input in usable.unwrap_or(model.modality).inputs() {
@@ -59,7 +77,6 @@ pub(crate) fn misfit(model: &ModelContract, rig: &RigFile) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gripcast_imaging::Role;
 
     #[test]
     fn classifier_is_default_if_it_suits_rig() {

@@ -35,6 +35,15 @@ use gripcast_shear::{FingerForce, GelMotion, MarkerField, ShearFrame};
 /// Gain of the displayed difference.
 const PREVIEW_GAIN: f32 = 1.5;
 
+/// How predictions are made.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct PredictionRules {
+    /// Limits of the prediction sets.
+    pub(super) limits: Option<ConformalLimits>,
+    /// Whether depth images are aligned to the colour images; a model does not get others.
+    pub(super) is_depth_aligned: bool,
+}
+
 /// Requests to the inference thread.
 #[derive(Debug)]
 pub(super) enum InferRequest {
@@ -217,7 +226,7 @@ impl Inference {
     pub(super) fn start(
         hub: &Hub,
         model: Option<Model>,
-        limits: Option<ConformalLimits>,
+        rules: PredictionRules,
         (scales, forces): (BTreeMap<Role, GelScale>, GelForces),
         (requests, inbox): (Sender<InferRequest>, Receiver<InferRequest>),
         tasks: &Tasks,
@@ -235,7 +244,7 @@ impl Inference {
         let predictor = model.map(LivePredictor::new).transpose()?;
         let trackers = GelTrackers::new(scales, forces);
         let mut worker = Worker::new(hub, predictor.zip(info), trackers, &state);
-        worker.limits = limits;
+        worker.rules = rules;
         let thread = tasks.spawn("inference", move |heartbeat| worker.run(&inbox, heartbeat))?;
         Ok(Self {
             state,
@@ -262,8 +271,7 @@ impl Inference {
 struct Worker {
     hub: Hub,
     predictor: Option<(LivePredictor, ModelInfo)>,
-    /// Limits of the prediction sets.
-    limits: Option<ConformalLimits>,
+    rules: PredictionRules,
     /// Base rate that predictions are adapted to.
     adaptation: Option<Adaptation>,
     initial: BTreeMap<Role, Arc<RgbImage>>,
@@ -290,7 +298,7 @@ impl Worker {
         Self {
             hub: hub.clone(),
             predictor,
-            limits: None,
+            rules: PredictionRules::default(),
             adaptation: None,
             initial: BTreeMap::new(),
             gels: GelJudge::default(),
@@ -422,7 +430,7 @@ impl Worker {
             lock(&self.state).contact.insert(role, contact);
         }
         if let Some((predictor, _)) = &mut self.predictor {
-            show(predictor, role, &decoded);
+            show(predictor, role, &decoded, self.rules);
             if role.is_tactile() {
                 self.predict();
             }
@@ -571,7 +579,7 @@ impl Worker {
                     p_stable: self.smoothing.add(prediction.p_stable, frame_time_ns),
                     ..model.record(&prediction, latency_ms)
                 };
-                let limits = limits_of(predictor, &record, self.limits);
+                let limits = limits_of(predictor, &record, self.rules.limits);
                 let record = decided(record, limits, self.adaptation);
                 let changes = [Role::Left, Role::Right].map(|role| state.contact.get(&role));
                 let changes = changes.map(|contact| contact.map(|contact| contact.change));
@@ -647,20 +655,20 @@ impl Worker {
         for (role, image) in images {
             predictor.update(role, image, 0);
         }
-        match depth {
+        match depth.filter(|_| self.rules.is_depth_aligned) {
             Some(depth) => predictor.update_depth(depth, 0),
             None => predictor.clear(Role::Depth),
         }
         let result = predictor.predict();
         for role in [Role::Left, Role::Right, Role::Rgb, Role::Depth] {
             match self.hub.slot(role).and_then(|slot| slot.latest()) {
-                Some(live) => show(predictor, role, &live),
+                Some(live) => show(predictor, role, &live, self.rules),
                 None => predictor.clear(role),
             }
         }
         // The store sets the latency to that of the live prediction at the trigger.
         let record = model.record(&result?.ok()?, 0.0);
-        let limits = limits_of(predictor, &record, self.limits);
+        let limits = limits_of(predictor, &record, self.rules.limits);
         let record = decided(record, limits, self.adaptation);
         Some(with_doubt(record, predictor, changes))
     }
@@ -685,9 +693,12 @@ impl MarkerMessage {
 }
 
 /// Gives a predictor the newest image of a camera.
-fn show(predictor: &mut LivePredictor, role: Role, decoded: &Decoded) {
+fn show(predictor: &mut LivePredictor, role: Role, decoded: &Decoded, rules: PredictionRules) {
     match &decoded.depth {
-        Some(depth) => predictor.update_depth(depth, decoded.driver_time_ns),
+        Some(depth) if rules.is_depth_aligned => {
+            predictor.update_depth(depth, decoded.driver_time_ns);
+        }
+        Some(_) => predictor.clear(role),
         None => predictor.update(role, (*decoded.image).clone(), decoded.driver_time_ns),
     }
 }

@@ -14,7 +14,7 @@ use super::black_box::Tap;
 use super::capture::CaptureThreads;
 use super::decode;
 use super::hub::Hub;
-use super::infer::{InferRequest, Inference};
+use super::infer::{InferRequest, Inference, PredictionRules};
 use super::shear::{GelForces, GelScale};
 use super::tasks::Tasks;
 use super::thread::lock;
@@ -127,7 +127,10 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
     let inference = Inference::start(
         &hub,
         Some(model),
-        None,
+        PredictionRules {
+            limits: None,
+            is_depth_aligned: true,
+        },
         (scales, forces),
         (requests, inbox),
         &tasks,

@@ -52,6 +52,9 @@ fn three_grasps_are_collected_predicted_and_verified() {
         }
         let p = grasp["prediction"]["p_stable"].as_f64().unwrap();
         assert!((0.0..=1.0).contains(&p));
+        // Strong contacts are as the sensor sends them.
+        assert!(grasp["prediction"]["unsure_reason"].is_null(), "{grasp}");
+        assert_eq!(grasp["prediction"]["inputs"], "VT");
         assert_eq!(grasp["grasp"]["trigger"], "script");
         assert_eq!(grasp["rig"], "virtual");
         assert_eq!(grasp["overridden_guards"].as_array().unwrap().len(), 0);

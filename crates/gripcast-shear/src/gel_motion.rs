@@ -97,14 +97,30 @@ impl LiftMotion {
         values
     }
 
-    /// The motion of [`LiftMotion::to_values`].
-    pub fn from_values(values: &[f64]) -> Self {
+    /// The motion of [`LiftMotion::to_values`]; none for another number of values, or if one other
+    /// than a slip ratio is not finite.
+    pub fn from_values(values: &[f64]) -> Option<Self> {
+        if values.len() != Self::LEN {
+            return None;
+        }
         let (gels, _) = values.as_chunks::<{ GelMotion::LEN }>();
         let (pairs, _) = gels.as_chunks::<2>();
         let known = pairs.iter().take_while(|pair| !pair[0][0].is_nan());
-        Self {
-            frames: known.map(|pair| pair.map(GelMotion::from_array)).collect(),
-        }
+        let frames = known.map(|pair| pair.map(GelMotion::from_array));
+        let motion = Self {
+            frames: frames.collect(),
+        };
+        motion.is_finite().then_some(motion)
+    }
+
+    /// Whether all numbers are finite.
+    pub fn is_finite(&self) -> bool {
+        let gels = self.frames.iter().flatten();
+        gels.flat_map(|gel| {
+            let slip_ratio = Some(gel.slip_ratio.unwrap_or_default());
+            GelMotion { slip_ratio, ..*gel }.to_array()
+        })
+        .all(f64::is_finite)
     }
 }
 
@@ -127,7 +143,12 @@ mod tests {
         let motion = LiftMotion { frames };
         let values = motion.to_values();
         assert_eq!(values.len(), LiftMotion::LEN);
-        assert_eq!(LiftMotion::from_values(&values), motion);
-        assert_eq!(LiftMotion::from_values(&[]), LiftMotion::default());
+        assert_eq!(LiftMotion::from_values(&values), Some(motion));
+        let empty = LiftMotion::default();
+        assert_eq!(LiftMotion::from_values(&empty.to_values()), Some(empty));
+        assert_eq!(LiftMotion::from_values(&values[1..]), None);
+        let mut damaged = values;
+        damaged[2] = f64::INFINITY;
+        assert_eq!(LiftMotion::from_values(&damaged), None);
     }
 }

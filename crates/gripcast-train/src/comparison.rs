@@ -8,6 +8,7 @@ use super::metrics::{Bootstrap, Interval, Scored, Summary};
 use super::samples::Samples;
 use super::start::StartModel;
 use super::validate::Logit;
+use gripcast_nn::predict::contract::Modality;
 
 /// Objects and lifts below which no improvement counts as shown: a bootstrap over fewer objects
 /// gives intervals that are too narrow.
@@ -54,9 +55,10 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Compares the logits of both networks on the samples of a split.
+    /// Compares the logits of both networks from some inputs on the samples of a split.
     pub(super) fn new(
         start: &StartModel,
+        inputs: Modality,
         start_logits: &[Logit],
         tuned_logits: &[Logit],
         samples: &Samples,
@@ -91,10 +93,12 @@ impl Comparison {
         let verdict = verdict(&gains, counts);
         let as_it_is: Vec<Scored> = start_logits.iter().map(|x| x.scored(1.0)).collect();
         let contract = start.contract();
+        let output = contract.outputs().find(|output| output.modality == inputs);
+        let threshold = output.map_or(contract.threshold, |output| output.threshold);
         Self {
             start: contract.name.clone(),
             start_sha256: start.sha256().to_owned(),
-            start_validation: Summary::new(&as_it_is, contract.threshold),
+            start_validation: Summary::new(&as_it_is, threshold),
             objects: counts[0],
             lifts: counts[1],
             auroc: auroc.and_then(|gain| gain.interval),

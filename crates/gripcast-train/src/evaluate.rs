@@ -229,7 +229,7 @@ pub fn evaluate(
         .collect();
     Ok(EvalReport {
         format: "gripcast-eval".to_owned(),
-        version: 1,
+        version: 2,
         software: concat!("gripcast ", env!("CARGO_PKG_VERSION")).to_owned(),
         dataset: samples.root().display().to_string(),
         dataset_sha256: dataset_sha256.to_owned(),
@@ -376,7 +376,11 @@ pub(super) fn predict(
                     let images = SampleImages::decode(decoder, &row.images, used.unwrap_or(inputs))
                         .map_err(|e| e.at(&row.facts.id))?;
                     let in_contact = set_input(&images, inputs, input)?;
-                    Ok((model.predict(input)?.p_stable, in_contact))
+                    let prediction = model.predict(input)?;
+                    if prediction.modality != inputs {
+                        return Err(lacks_input(inputs, prediction.modality).at(&row.facts.id));
+                    }
+                    Ok((prediction.p_stable, in_contact))
                 },
             )
             .collect::<Result<_>>()?;
@@ -384,6 +388,15 @@ pub(super) fn predict(
         on_progress(predictions.len());
     }
     Ok(predictions)
+}
+
+fn lacks_input(expected: Modality, found: Modality) -> Error {
+    Error::input(format!(
+        "expected {} as in the first sample of the split, found {}",
+        expected.words(),
+        found.words()
+    ))
+    .remedy("evaluate samples with and without depth images as separate splits")
 }
 
 /// Sets some inputs of a model; returns whether both tactile images show contact.

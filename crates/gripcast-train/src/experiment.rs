@@ -252,6 +252,7 @@ fn test_model(model: &Path, folder: &Path, test: &TestSet) -> Result<ModelEvalua
     let sha256 = dataset_sha256(&test.data)?;
     let model_file = model.display().to_string();
     let loaded = Model::load(model)?;
+    let all = loaded.contract().modality;
     let cached = cache.read(FileKind::List).ok();
     let cached = cached.and_then(|text| serde_json::from_slice::<CachedTest>(&text).ok());
     if let Some(cached) = cached
@@ -262,10 +263,11 @@ fn test_model(model: &Path, folder: &Path, test: &TestSet) -> Result<ModelEvalua
         return Ok(cached.evaluation);
     }
     let samples = Samples::open(&test.data, &test.split)?;
-    let mut report = evaluate(&[(model_file, loaded)], &samples, None, &sha256, &|_, _| {})?;
-    let evaluation = report
-        .models
-        .pop()
+    let report = evaluate(&[(model_file, loaded)], &samples, None, &sha256, &|_, _| {})?;
+    // Of the predictions of a model the one from all of its inputs.
+    let mut evaluated = report.models.into_iter();
+    let evaluation = evaluated
+        .find(|evaluation| evaluation.modality == all)
         .ok_or_else(|| Error::internal("the model was not evaluated").at(model.display()))?;
     let test = CachedTest {
         dataset_sha256: sha256,

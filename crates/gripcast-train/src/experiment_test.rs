@@ -24,7 +24,7 @@ fn experiment_trains_tests_and_compares_conditions() {
         embedding: 16,
         camera_embedding: 16,
         geometry: false,
-        fallbacks: false,
+        fallbacks: true,
         hidden: 16,
     };
     let settings = ExperimentSettings {
@@ -68,6 +68,12 @@ fn experiment_trains_tests_and_compares_conditions() {
             chart.contains("V+T, rigid") && chart.contains("Held-out objects"),
             "{name}"
         );
+    }
+    // Models that also predict from fewer inputs are compared with all of theirs.
+    for (condition, modality) in [("v", "V"), ("t", "T"), ("vt", "VT"), ("vt-rigid", "VT")] {
+        let cache = out.join(condition).join("seed-1/eval-held-out.json");
+        let cached: serde_json::Value = serde_json::from_slice(&fs::read(cache).unwrap()).unwrap();
+        assert_eq!(cached["evaluation"]["modality"], modality);
     }
     let written = fs::read(out.join("fig6.json")).unwrap();
     // Again: nothing is trained, and the figures are the same.

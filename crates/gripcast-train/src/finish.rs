@@ -100,7 +100,8 @@ pub fn finish(
         let before = logits_of(start.network())?;
         Ok(Comparison::new(
             start,
-            before.best(),
+            used.modality,
+            before.of(used.modality),
             logits.best(),
             &validation,
         ))

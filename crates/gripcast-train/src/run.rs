@@ -597,6 +597,18 @@ impl<'a> Training<'a> {
             self.normalisation,
             &|done| on_progress(TrainEvent::Validate([done, total])),
         )?;
+        let modality = self.settings.modality;
+        let is_new = self.settings.fine_tuning.is_none();
+        if is_new && logits.complete() != Some(modality) {
+            let what = format!(
+                "not all samples of the split `{VALIDATION}` have {}, so the predictions from them \
+                 cannot be calibrated",
+                modality.words()
+            );
+            return Err(Error::input(what)
+                .at(self.validation.root().display())
+                .remedy("train with the `--modality` that all of its samples have"));
+        }
         Ok((Scores::new(logits.best()), logits.geometry_error_m))
     }
 }

@@ -358,3 +358,35 @@ fn second_trainer_in_a_folder_is_refused_with_the_first() {
     drop(held);
     assert!(finish(&run, &file, &data, "model", &|_| {}).is_ok());
 }
+
+#[test]
+fn samples_without_depth_are_no_predictions_from_fewer_inputs() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    write_dataset(&data, 16);
+    let settings = settings(Modality::Vtd);
+    let out = folder.path().join("run");
+    train(&data, &out, &settings, &|_| {}).unwrap();
+    let run = RunFolder::at(&out);
+    let file = run.read().unwrap().unwrap();
+    let onnx = finish(&run, &file, &data, "tiny", &|_| {}).unwrap().onnx;
+    let models = [("tiny.onnx".to_owned(), Model::from_bytes(&onnx).unwrap())];
+
+    // Only the last of a split lacks depth.
+    let without = |split: &str| {
+        let mut rows: Vec<_> = (0..8).map(|number| row(split, number)).collect();
+        rows[7].images.grasp_depth = None;
+        write_split(&data, split, rows);
+    };
+    without("test");
+    let test = Samples::open(&data, "test").unwrap();
+    let error = crate::evaluate(&models, &test, None, "", &|_, _| {}).unwrap_err();
+    assert!(error.to_string().contains("test-0007"), "{error}");
+    assert!(error.what().contains("depth"), "{error}");
+
+    // Nor are predictions exported that nothing calibrates.
+    without("validation");
+    let error = train(&data, &folder.path().join("other"), &settings, &|_| {}).unwrap_err();
+    assert!(error.what().contains("split `validation`"), "{error}");
+    assert!(error.remedy_text().unwrap().contains("--modality"));
+}

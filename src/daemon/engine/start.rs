@@ -16,7 +16,7 @@ use crate::daemon::calibration::{store_calibration, stored_source};
 use crate::daemon::capture::CaptureThreads;
 use crate::daemon::decode;
 use crate::daemon::hub::Hub;
-use crate::daemon::infer::{Inference, ModelInfo};
+use crate::daemon::infer::{Inference, ModelInfo, PredictionRules};
 use crate::daemon::pre_grasp::PreGraspRecorder;
 use crate::daemon::store::{Store, StoreContext, StoreMessage, pending_frame};
 use gripcast_base::error::{Error, Result};
@@ -78,7 +78,10 @@ impl Engine {
         let inference = Inference::start(
             &hub,
             setup.model,
-            limits,
+            PredictionRules {
+                limits,
+                is_depth_aligned: setup.rig.is_depth_aligned(),
+            },
             (setup.gel_scales, setup.gel_forces),
             infer_channel,
             &links.tasks,

@@ -168,6 +168,14 @@ impl CameraConfig {
 }
 
 impl RigFile {
+    /// Whether the depth images are aligned to the colour images: those of the virtual rig are,
+    /// those of a D435 are seen from its left imager.
+    #[must_use]
+    pub fn is_depth_aligned(&self) -> bool {
+        let depth = self.cameras.get(&Role::Depth);
+        depth.is_some_and(|camera| camera.source == SourceKind::Virtual)
+    }
+
     /// The built-in rig: two simulated tactile sensors, colour and depth.
     #[must_use]
     pub fn virtual_rig() -> Self {

@@ -198,3 +198,15 @@ fn rigs_are_found_by_name_and_path() {
     );
     assert!(RigFile::load(&second.join("none.toml")).is_err());
 }
+
+#[test]
+fn depth_of_real_cameras_is_not_aligned() {
+    let mut rig = RigFile::virtual_rig();
+    assert!(rig.is_depth_aligned());
+    for source in [SourceKind::V4l2, SourceKind::Replay] {
+        rig.cameras.get_mut(&Role::Depth).unwrap().source = source;
+        assert!(!rig.is_depth_aligned(), "{source:?}");
+    }
+    rig.cameras.remove(&Role::Depth);
+    assert!(!rig.is_depth_aligned());
+}

@@ -244,9 +244,7 @@ impl ShardFacts {
             seed: cells.natural()?,
             crop_profile: cells.text()?,
             geometry: cells.optional_numbers()?.map(geometry).transpose()?,
-            lift: cells
-                .optional_numbers()?
-                .map(|values| LiftMotion::from_values(&values)),
+            lift: cells.optional_numbers()?.map(lift_motion).transpose()?,
         })
     }
 
@@ -293,6 +291,12 @@ impl ShardFacts {
         if let Some(value) = extents.into_iter().find(|value| !value.is_finite()) {
             let what = format!("has {value}, expected finite numbers");
             return Err(column_error("geometry_m", what));
+        }
+        if !self.lift.as_ref().is_none_or(LiftMotion::is_finite) {
+            return Err(column_error(
+                "lift_motion",
+                "has a number that is not finite",
+            ));
         }
         let Some(stored) = &self.t_object_gripper else {
             return Ok(());
@@ -368,6 +372,17 @@ fn optional_pose(cells: &mut Cells<'_>) -> Result<Option<Pose>> {
         (None, Some(_)) => Err(column_error("pose_t_m", "is null, pose_q_wxyz is not")),
         (Some(_), None) => Err(column_error("pose_q_wxyz", "is null, pose_t_m is not")),
     }
+}
+
+fn lift_motion(values: Vec<f64>) -> Result<LiftMotion> {
+    LiftMotion::from_values(&values).ok_or_else(|| {
+        let what = format!(
+            "has {} numbers, expected {}, finite but for slip ratios and images that are missing",
+            values.len(),
+            LiftMotion::LEN
+        );
+        column_error("lift_motion", what)
+    })
 }
 
 fn geometry(values: Vec<f64>) -> Result<GraspGeometry> {
