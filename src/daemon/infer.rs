@@ -14,21 +14,21 @@ use utoipa::ToSchema;
 #[cfg(test)]
 use super::black_box::Tap;
 use super::black_box::Topic;
+use super::decision::{decided, limits_of, with_doubt};
 use super::gels::GelJudge;
 use super::histogram::LatencyHistogram;
 use super::hub::{Decoded, Hub};
 use super::live_lift::{LiveLift, draw_outline};
 use super::shear::{GelForces, GelScale, GelTrackers, draw_markers};
-use super::status::{LiftStatus, LiveMarkers, PredictionStatus, Preview, ShearStatus, verdict_of};
+use super::status::{LiftStatus, LiveMarkers, PredictionStatus, Preview, ShearStatus};
 use super::tasks::{Heartbeat, Tasks};
 use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
-use gripcast_dataset::{AdaptedPrediction, OpenOutcomes, PredictionRecord};
+use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::{GelChange, GelState, Role, TactileDifference};
 use gripcast_nn::predict::{
-    Adaptation, ConformalLimits, Depth, LivePrediction, LivePredictor, Model, PredictedLabel,
-    Smoothing, contact_doubt,
+    Adaptation, ConformalLimits, Depth, LivePrediction, LivePredictor, Model, Smoothing,
 };
 use gripcast_shear::{FingerForce, GelMotion, MarkerField, ShearFrame};
 
@@ -700,62 +700,6 @@ fn show(predictor: &mut LivePredictor, role: Role, decoded: &Decoded, rules: Pre
         }
         Some(_) => predictor.clear(role),
         None => predictor.update(role, (*decoded.image).clone(), decoded.driver_time_ns),
-    }
-}
-
-/// Limits of the prediction set, which hold for predictions from all inputs of the model.
-fn limits_of(
-    predictor: &LivePredictor,
-    record: &PredictionRecord,
-    limits: Option<ConformalLimits>,
-) -> Option<ConformalLimits> {
-    let all = predictor.model().contract().modality.name();
-    limits.filter(|_| record.inputs.as_deref() == Some(all))
-}
-
-/// Adds the adapted probability and the prediction set. The set follows from the model's own
-/// probability: it covers each outcome on its own, whatever the base rate.
-fn decided(
-    record: PredictionRecord,
-    limits: Option<ConformalLimits>,
-    adaptation: Option<Adaptation>,
-) -> PredictionRecord {
-    let p_stable = record.p_stable;
-    let set = limits.map(|limits| {
-        let set = limits.set_of(p_stable);
-        OpenOutcomes {
-            error_rate: limits.error_rate,
-            stable: set.contains(true),
-            slip: set.contains(false),
-        }
-    });
-    let adapted = adaptation.map(|adaptation| AdaptedPrediction {
-        p_stable: adaptation.adapted(p_stable),
-        base_rate: adaptation.base_rate,
-        labels: adaptation.labels,
-    });
-    PredictionRecord {
-        adapted,
-        set,
-        ..record
-    }
-}
-
-/// Adds why the changes of both gels cannot support a tactile prediction.
-fn with_doubt(
-    record: PredictionRecord,
-    predictor: &LivePredictor,
-    changes: [Option<GelChange>; 2],
-) -> PredictionRecord {
-    let (true, [Some(left), Some(right)]) =
-        (predictor.model().contract().modality.has_touch(), changes)
-    else {
-        return record;
-    };
-    let is_stable = verdict_of(&record) == PredictedLabel::Stable;
-    PredictionRecord {
-        unsure_reason: contact_doubt([&left, &right], is_stable),
-        ..record
     }
 }
 

@@ -13,6 +13,7 @@ mod boards;
 mod calibration;
 mod capture;
 mod command_request;
+mod decision;
 mod decode;
 mod engine;
 mod gels;

@@ -17,6 +17,7 @@
 
 mod adam;
 mod architecture;
+mod batch;
 mod batch_norm;
 mod conv;
 mod export;
@@ -29,7 +30,8 @@ mod product;
 
 pub use adam::{Adam, linear_schedule};
 pub use architecture::{Architecture, ConvSpec, GEOMETRY, IMAGE, Layout, Param};
+pub use batch::{Batch, Outputs};
 pub use export::to_onnx;
 pub use import::from_onnx;
 pub use lanes::vector_bits;
-pub use network::{Batch, Network, Outputs, Scope, Step};
+pub use network::{Network, Scope, Step};

@@ -1,5 +1,6 @@
 use super::*;
 use crate::architecture::ConvSpec;
+use crate::predict::contract::InputName;
 
 /// Seeded uniform numbers.
 fn uniform(seed: u64) -> impl FnMut() -> f64 {

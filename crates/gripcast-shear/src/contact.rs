@@ -6,6 +6,7 @@
 use image::RgbImage;
 
 use crate::darkness::BoxSums;
+use crate::marker::covered;
 
 /// Columns and rows of the cells.
 const GRID: [usize; 2] = [40, 30];
@@ -46,19 +47,7 @@ impl SkinCells {
         diameter: f32,
     ) -> Self {
         let (width, height) = (image.width() as usize, image.height() as usize);
-        let mut is_covered = vec![false; width * height];
-        let radius = 0.5 * diameter + HALO_PX;
-        for [x, y] in markers {
-            let range = |middle: f32, reach: f32, size: usize| {
-                let from = (middle - reach).ceil().max(0.0) as usize;
-                let to = (middle + reach + 1.0).max(0.0) as usize;
-                from.min(size)..to.min(size)
-            };
-            for row in range(y, radius, height) {
-                let half = (radius * radius - (row as f32 - y).powi(2)).max(0.0).sqrt();
-                is_covered[row * width..][range(x, half, width)].fill(true);
-            }
-        }
+        let is_covered = covered([width, height], markers, 0.5 * diameter + HALO_PX);
         let cell_of: Vec<usize> = (0..width).map(|x| x * GRID[0] / width).collect();
         let mut sums = vec![[0_u32; 5]; GRID[0] * GRID[1]];
         let rows = image.as_raw().chunks_exact(3 * width.max(1));

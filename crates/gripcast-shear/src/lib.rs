@@ -36,7 +36,7 @@ mod tracker_test;
 
 pub use force::FingerForce;
 pub use gel_motion::{GelMotion, LiftMotion};
-pub use marker::{GelMarker, MarkerField, MarkerPattern};
+pub use marker::{GelMarker, MarkerField, MarkerPattern, covered};
 pub use problem::ShearProblem;
 pub use tracker::{
     ExpectedMarkers, ShearFrame, ShearSource, ShearSummary, ShearTracker, USUAL_M_PER_PX,

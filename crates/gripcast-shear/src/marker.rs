@@ -61,6 +61,29 @@ pub struct MarkerField {
     pub markers: Vec<Option<GelMarker>>,
 }
 
+/// Pixels of an image of this width and height within `radius` of the centres, row-major: those that
+/// gel markers cover.
+pub fn covered(
+    [width, height]: [usize; 2],
+    centres_px: impl Iterator<Item = [f32; 2]>,
+    radius_px: f32,
+) -> Vec<bool> {
+    let mut is_covered = vec![false; width * height];
+    for [x, y] in centres_px {
+        let range = |middle: f32, reach: f32, size: usize| {
+            let from = (middle - reach).ceil().max(0.0) as usize;
+            let to = (middle + reach + 1.0).max(0.0) as usize;
+            from.min(size)..to.min(size)
+        };
+        for row in range(y, radius_px, height) {
+            let square = radius_px * radius_px - (row as f32 - y).powi(2);
+            let half = square.max(0.0).sqrt();
+            is_covered[row * width..][range(x, half, width)].fill(true);
+        }
+    }
+    is_covered
+}
+
 /// Minimum gel markers for the gradient of the displacement.
 const MIN_GRADIENT_MARKERS: usize = 4;
 /// Values of one lattice point in [`MarkerField::to_array`].

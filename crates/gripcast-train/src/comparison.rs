@@ -2,9 +2,10 @@
 
 use serde::Serialize;
 
-use super::evaluate::{ResampledMetrics, SEED, grouped};
+use super::evaluate::{SEED, grouped};
 use super::finish::calibrate;
 use super::metrics::{Bootstrap, Interval, Scored, Summary};
+use super::resampled::ResampledMetrics;
 use super::samples::Samples;
 use super::start::StartModel;
 use super::validate::Logit;

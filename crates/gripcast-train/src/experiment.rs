@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::evaluate::{ModelEvaluation, Resampled, evaluate};
+use super::evaluate::{ModelEvaluation, evaluate};
 use super::finish::finish;
 use super::metrics::plot::{Bar, BarChart, BarGroup, Reference, bars};
 use super::metrics::{Interval, SeedSummary, Summary};
+use super::resampled::Resampled;
 use super::run::{TrainEvent, train};
 use super::run_folder::RunFolder;
 use super::samples::{Samples, dataset_sha256};

@@ -17,6 +17,7 @@ mod lift;
 pub mod metrics;
 mod ood;
 mod page;
+mod resampled;
 mod run;
 mod run_folder;
 #[cfg(test)]
@@ -32,8 +33,7 @@ pub use batches::colour_normalisation;
 pub use comparison::{Comparison, Verdict};
 pub use conformal::{ConformalEvaluation, ConformalLabel, conformal_scores, trained_objects};
 pub use evaluate::{
-    Difference, EvalReport, Mistake, ModelEvaluation, ScoredSample, SeedResult, evaluate,
-    sample_images,
+    Difference, EvalReport, Mistake, ModelEvaluation, ScoredSample, evaluate, sample_images,
 };
 pub use experiment::{
     Condition, ConditionDifference, ConditionResult, ExperimentEvent, ExperimentReport,
@@ -42,6 +42,7 @@ pub use experiment::{
 pub use finish::{Finished, finish};
 pub use lift::{LiftEvaluation, LiftPoint};
 pub use page::page;
+pub use resampled::SeedResult;
 pub use run::{RunStart, SplitCounts, TrainEvent, Trained, fine_tune, train};
 pub use run_folder::{EpochMetrics, RunFile, RunFolder};
 pub use samples::{SampleFacts, Samples, dataset_sha256};

@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::evaluate::{ResampledMetrics, SEED, grouped};
+use super::evaluate::{SEED, grouped};
 use super::metrics::{Bootstrap, Interval, Scored, youden_threshold};
+use super::resampled::ResampledMetrics;
 use super::samples::{SampleFacts, Samples};
 use super::validate::Logit;
 use gripcast_base::linear::NormalEquations;

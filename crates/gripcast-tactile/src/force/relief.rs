@@ -13,7 +13,7 @@ use super::slope_response::SlopeResponse;
 use crate::profile::SensorProfile;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::quantile;
-use gripcast_shear::MarkerField;
+use gripcast_shear::{MarkerField, covered};
 
 /// Side of a cell, px.
 const CELL_PX: usize = 4;
@@ -155,24 +155,11 @@ impl ReliefSensor {
 
     /// Pixels below the gel markers of both images.
     fn covered(&self, markers: Option<&MarkerField>) -> Vec<bool> {
-        let [width, height] = self.size;
-        let mut is_covered = vec![false; width * height];
-        let radius = 0.5 * self.marker_px + HALO_PX;
         let markers = markers
             .iter()
             .flat_map(|field| field.markers.iter().flatten());
-        for [x, y] in markers.flat_map(|m| [m.rest_px, m.position_px]) {
-            let range = |middle: f32, reach: f32, size: usize| {
-                let from = (middle - reach).ceil().max(0.0) as usize;
-                let to = (middle + reach + 1.0).max(0.0) as usize;
-                from.min(size)..to.min(size)
-            };
-            for row in range(y, radius, height) {
-                let half = (radius * radius - (row as f32 - y).powi(2)).max(0.0).sqrt();
-                is_covered[row * width..][range(x, half, width)].fill(true);
-            }
-        }
-        is_covered
+        let centres = markers.flat_map(|m| [m.rest_px, m.position_px]);
+        covered(self.size, centres, 0.5 * self.marker_px + HALO_PX)
     }
 
     /// Surface whose slopes are nearest to `gradient`, from its zero, m.
