@@ -80,6 +80,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         tests,
         seeds: args.seeds,
         training: args.training.settings(Modality::Vt, 0)?,
+        cameras: args.training.cameras()?,
     };
     let out = args.out.clone();
     let jobs = args.jobs.map_or_else(cores, usize::from);

@@ -38,7 +38,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Fine-tune this model on the dataset: a built-in name, an ONNX file of `train`, or a run
-    #[arg(long, value_name = "MODEL", conflicts_with_all = ["modality", "arch"])]
+    #[arg(long, value_name = "MODEL", conflicts_with_all = ["modality", "arch", "cameras_from"])]
     from: Option<String>,
     /// Epochs of fine-tuning that train the whole network, after those of the head
     #[arg(long, value_name = "N", default_value_t = 0, requires = "from")]
@@ -66,15 +66,23 @@ pub(crate) struct Args {
     training: TrainingFlags,
 }
 
+/// Models that a training takes parameters from.
+struct Sources {
+    /// Start model of fine-tuning.
+    start: Option<StartModel>,
+    /// Model with the encoders of camera images.
+    cameras: Option<StartModel>,
+}
+
 /// Runs the command.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let is_json = args.json;
     let report = if !args.headless && !context.quiet && has_screen() {
         under_dashboard(args)?
     } else {
-        let start = args.start()?;
+        let sources = args.sources()?;
         resumable(context, "training", move |progress| {
-            all_seeds(&args, start.as_ref(), &|news| show(progress, &news))
+            all_seeds(&args, &sources, &|news| show(progress, &news))
         })??
     };
     print_report(is_json, &report, text)
@@ -89,8 +97,8 @@ fn has_screen() -> bool {
 }
 
 fn under_dashboard(args: Args) -> Result<Value> {
-    let start = args.start()?;
-    let settings = args.settings(args.seed, start.as_ref())?;
+    let sources = args.sources()?;
+    let settings = args.settings(args.seed, &sources)?;
     let name = |path: &Path| {
         let name = path.file_name().unwrap_or(path.as_os_str());
         name.to_string_lossy().into_owned()
@@ -98,9 +106,7 @@ fn under_dashboard(args: Args) -> Result<Value> {
     let status = TrainingStatus::new(&name(&args.data), &name(&args.out), settings, args.seeds);
     let (screen, cancel) = TrainingScreen::start(status)?;
     let on_progress = screen.sender();
-    let report = resumable_under_screen(cancel, move || {
-        all_seeds(&args, start.as_ref(), &on_progress)
-    });
+    let report = resumable_under_screen(cancel, move || all_seeds(&args, &sources, &on_progress));
     if let Err(error) = screen.end() {
         // The training does not depend on its screen.
         note!("gripcast: {error}");
@@ -110,9 +116,10 @@ fn under_dashboard(args: Args) -> Result<Value> {
 
 fn all_seeds(
     args: &Args,
-    start: Option<&StartModel>,
+    sources: &Sources,
     on_progress: &(dyn Fn(TrainingNews) + Sync),
 ) -> Result<Value> {
+    let start = sources.start.as_ref();
     let mut runs = Vec::new();
     let mut best: Option<(f64, Finished)> = None;
     for seed in args.seed..args.seed.saturating_add(args.seeds) {
@@ -121,7 +128,7 @@ fn all_seeds(
         } else {
             args.out.join(format!("seed-{seed}"))
         };
-        let settings = args.settings(seed, start)?;
+        let settings = args.settings(seed, sources)?;
         on_progress(TrainingNews::Seed(seed));
         let on_event = |event| on_progress(TrainingNews::Train(event));
         let trained = match start {
@@ -136,7 +143,10 @@ fn all_seeds(
                     &on_event,
                 )?
             }
-            None => train(&args.data, &folder, &settings, &on_event)?,
+            None => {
+                let cameras = sources.cameras.as_ref();
+                train(&args.data, &folder, &settings, cameras, &on_event)?
+            }
         };
         let folder = RunFolder::at(folder);
         let file = folder.read()?.ok_or_else(|| {
@@ -253,14 +263,17 @@ fn comparison(run: &Value) -> Vec<String> {
 }
 
 impl Args {
-    /// Loads the start model of fine-tuning.
-    fn start(&self) -> Result<Option<StartModel>> {
-        self.from.as_deref().map(StartModel::by_name).transpose()
+    /// Loads the models that parameters are taken from.
+    fn sources(&self) -> Result<Sources> {
+        Ok(Sources {
+            start: self.from.as_deref().map(StartModel::by_name).transpose()?,
+            cameras: self.training.cameras()?,
+        })
     }
 
-    fn settings(&self, seed: u64, start: Option<&StartModel>) -> Result<TrainSettings> {
+    fn settings(&self, seed: u64, sources: &Sources) -> Result<TrainSettings> {
         let settings = |modality| self.training.settings(modality, seed);
-        if let Some(start) = start {
+        if let Some(start) = &sources.start {
             let modality = start.contract().modality;
             return Ok(settings(modality)?.fine_tuning(start, self.unfreeze_epochs));
         }

@@ -5,7 +5,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::number::NumberRange;
 use gripcast_nn::Architecture;
 use gripcast_nn::predict::contract::Modality;
-use gripcast_train::{Augmentation, TrainSettings};
+use gripcast_train::{Augmentation, StartModel, TrainSettings};
 
 /// Training options.
 #[derive(Clone, Debug, clap::Args)]
@@ -18,6 +18,10 @@ pub(super) struct TrainingFlags {
     /// Epochs in which the encoders of camera images first learn the extents of the object
     #[arg(long, value_name = "N", default_value_t = 30)]
     pretrain_epochs: u32,
+    /// Model whose encoders of camera images are used and not trained: a built-in name, an ONNX file
+    /// of `train`, or a run
+    #[arg(long, value_name = "MODEL")]
+    cameras_from: Option<String>,
     /// Number of training epochs
     #[arg(long, value_name = "N", default_value_t = 30)]
     epochs: u32,
@@ -43,6 +47,15 @@ pub(super) struct TrainingFlags {
 }
 
 impl TrainingFlags {
+    /// Loads the model of `--cameras-from`.
+    ///
+    /// # Errors
+    /// Those of [`StartModel::by_name`].
+    pub(super) fn cameras(&self) -> Result<Option<StartModel>> {
+        let name = self.cameras_from.as_deref();
+        name.map(StartModel::by_name).transpose()
+    }
+
     /// Returns the training settings.
     ///
     /// # Errors

@@ -28,9 +28,9 @@ impl Adam {
 
     /// Updates the parameters of the tensors `params`; weight decay (`rate·decay`) applies to
     /// weights only, not to biases and scales.
-    pub fn step(
+    pub fn step<'a>(
         &mut self,
-        params: &[Param],
+        params: impl IntoIterator<Item = &'a Param>,
         parameters: &mut [f32],
         gradient: &[f32],
         rate: f32,

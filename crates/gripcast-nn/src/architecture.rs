@@ -252,6 +252,13 @@ pub(super) struct EncoderParams {
     pub(super) stats: Vec<[std::ops::Range<usize>; 2]>,
 }
 
+impl EncoderParams {
+    /// All parameter tensors in order.
+    pub(super) fn params(&self) -> impl Iterator<Item = &Param> {
+        self.convolutions.iter().flatten().chain(&self.projection)
+    }
+}
+
 /// Parameters of the dense layers on the embeddings of some inputs.
 #[derive(Clone, Debug)]
 pub(crate) struct HeadParams {
@@ -366,13 +373,6 @@ impl Layout {
     /// Parameter tensors of the heads, the last ones.
     pub fn head_params(&self) -> &[Param] {
         &self.params[self.first_of_heads..]
-    }
-
-    /// Parameter tensors of the encoders of camera images, which follow those of touch.
-    pub fn camera_params(&self) -> &[Param] {
-        let is_of_touch = |param: &&Param| param.name.starts_with(EncoderKind::Touch.name());
-        let first = self.params.iter().take_while(is_of_touch).count();
-        &self.params[first.min(self.first_of_heads)..self.first_of_heads]
     }
 
     /// Number of parameters.

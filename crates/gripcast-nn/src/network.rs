@@ -10,6 +10,7 @@ use super::batch_norm::{self, ChannelStats};
 use super::conv::{self, ConvShape, Scratch};
 use super::product::{Finish, Packed};
 use crate::predict::contract::Modality;
+use gripcast_base::error::{Error, Result};
 
 /// Minimum momentum of the running statistics.
 const MOMENTUM: f32 = 0.1;
@@ -47,21 +48,33 @@ pub enum Scope {
     Head,
     /// The encoders of camera images, for the geometry alone.
     Geometry,
+    /// All but the encoders of camera images, which stay as they are.
+    FixedCameras,
 }
 
 impl Scope {
     /// Returns the parameters that training changes.
-    pub fn params(self, layout: &Layout) -> &[Param] {
+    pub fn params(self, layout: &Layout) -> impl Iterator<Item = &Param> {
+        let encoders = layout.encoders.iter();
+        let encoders = encoders.filter(move |encoder| self.trains(encoder.kind));
+        let heads = layout.head_params().iter();
+        let heads = heads.filter(move |_| self != Self::Geometry);
+        encoders.flat_map(EncoderParams::params).chain(heads)
+    }
+
+    /// Whether it changes an encoder.
+    fn trains(self, kind: EncoderKind) -> bool {
         match self {
-            Self::All | Self::FixedStats => layout.params(),
-            Self::Head => layout.head_params(),
-            Self::Geometry => layout.camera_params(),
+            Self::All | Self::FixedStats => true,
+            Self::Head => false,
+            Self::Geometry => kind != EncoderKind::Touch,
+            Self::FixedCameras => kind == EncoderKind::Touch,
         }
     }
 
-    /// Whether it normalises with the statistics of the batch.
-    fn is_of_batch(self) -> bool {
-        matches!(self, Self::All | Self::Geometry)
+    /// Whether it normalises an encoder with the statistics of the batch.
+    fn is_of_batch(self, kind: EncoderKind) -> bool {
+        self.trains(kind) && self != Self::FixedStats
     }
 
     /// Whether it runs an encoder.
@@ -147,6 +160,40 @@ impl Network {
             running_stats,
             workspace: Workspace::default(),
         }
+    }
+
+    /// Copies the encoders of camera images of another network, with their statistics.
+    ///
+    /// # Errors
+    /// `Input`: it lacks one of them, does not estimate the geometry with it, or has other shapes.
+    pub fn copy_cameras(&mut self, from: &Self) -> Result<()> {
+        for encoder in &self.layout.encoders {
+            let kind = encoder.kind;
+            let what = match kind {
+                EncoderKind::Touch => continue,
+                EncoderKind::Vision => "colour",
+                EncoderKind::Depth => "depth",
+            };
+            let source = from.encoder(kind).filter(|_| from.architecture.geometry);
+            let source = source.ok_or_else(|| {
+                Error::input(format!(
+                    "it has no encoder of {what} images that estimates the extents of the object"
+                ))
+            })?;
+            let pairs = || encoder.params().zip(source.params());
+            if pairs().any(|(to, from)| to.shape != from.shape) {
+                let what = format!("its encoder of {what} images has other layers");
+                return Err(Error::input(what));
+            }
+            for (to, source) in pairs() {
+                self.parameters[to.range()].copy_from_slice(from.values(source));
+            }
+            let stats = encoder.stats.iter().zip(&source.stats);
+            for (to, source) in stats.flat_map(|(to, source)| to.iter().zip(source)) {
+                self.running_stats[to.clone()].copy_from_slice(&from.running_stats[source.clone()]);
+            }
+        }
+        Ok(())
     }
 
     /// Layout of the parameters.
@@ -252,13 +299,9 @@ impl Network {
             let djoined = self.backward_head(params, &head, step, &dlogits, gradient);
             self.split_embeddings(params.modality, &djoined, &mut dembeddings);
         }
-        if step.scope != Scope::Head {
-            loss += self.geometry_loss(batch, passes, &mut dembeddings);
-            self.backward_encoders(batch, passes, &dembeddings, step.scope, gradients, gradient);
-        }
-        if step.scope.is_of_batch() {
-            self.update_running_stats(passes, step.number);
-        }
+        loss += self.geometry_loss(batch, passes, step.scope, &mut dembeddings);
+        self.backward_encoders(batch, passes, &dembeddings, step.scope, gradients, gradient);
+        self.update_running_stats(passes, step);
         self.workspace = workspace;
         loss
     }
@@ -278,6 +321,7 @@ impl Network {
         &self,
         batch: &Batch,
         passes: &[EncoderPass],
+        scope: Scope,
         dembeddings: &mut [Vec<f32>],
     ) -> f64 {
         let mut loss = 0.0;
@@ -288,7 +332,7 @@ impl Network {
             .zip(passes.iter().zip(dembeddings))
         {
             let kind = encoder.kind;
-            if kind == EncoderKind::Touch || !self.architecture.geometry {
+            if kind == EncoderKind::Touch || !self.architecture.geometry || !scope.trains(kind) {
                 continue;
             }
             let input = Modality::of(|name| kind.inputs().contains(&name));
@@ -337,7 +381,7 @@ impl Network {
     ) {
         let encoders = self.layout.encoders.iter().zip(passes);
         for ((encoder, pass), dembedding) in encoders.zip(dembeddings) {
-            if !scope.uses(encoder.kind) {
+            if !scope.trains(encoder.kind) {
                 continue;
             }
             let images = batch.images(encoder.kind);
@@ -348,13 +392,13 @@ impl Network {
         }
     }
 
-    /// Updates the running statistics with those of the batch.
-    fn update_running_stats(&mut self, passes: &[EncoderPass], number: u64) {
+    /// Updates the running statistics of the encoders that normalise with those of the batch.
+    fn update_running_stats(&mut self, passes: &[EncoderPass], step: &Step) {
         // The first steps average all batches: the initial statistics are arbitrary.
-        let fraction = MOMENTUM.max(1.0 / (number + 1) as f32);
+        let fraction = MOMENTUM.max(1.0 / (step.number + 1) as f32);
         let encoders = self.layout.encoders.clone();
-        // An encoder that did not run has no statistics of the batch.
-        for (encoder, pass) in encoders.iter().zip(passes) {
+        let passes = encoders.iter().zip(passes);
+        for (encoder, pass) in passes.filter(|(encoder, _)| step.scope.is_of_batch(encoder.kind)) {
             for ([mean, variance], (stats, z)) in
                 encoder.stats.iter().zip(pass.stats.iter().zip(&pass.z))
             {
@@ -389,7 +433,8 @@ impl Network {
         for (params, pass) in encoders.iter().zip(passes) {
             if scope.uses(params.kind) {
                 let images = batch.images(params.kind);
-                self.forward_encoder(params, images, scope.is_of_batch(), pass);
+                let is_of_batch = scope.is_of_batch(params.kind);
+                self.forward_encoder(params, images, is_of_batch, pass);
             } else {
                 *pass = EncoderPass::default();
             }
@@ -617,7 +662,7 @@ impl Network {
                 a: &pass.a[i],
                 image: output,
                 stats: &pass.stats[i],
-                is_of_batch: scope.is_of_batch(),
+                is_of_batch: scope.is_of_batch(params.kind),
             };
             let [dgamma, dbeta] = batch_norm::backward(of_layer, self.values(gamma), d);
             add(&mut gradient[gamma.range()], &dgamma);

@@ -70,7 +70,13 @@ fn case(scope: Scope) -> (Network, Batch, Step) {
 
 #[test]
 fn gradients_match_finite_differences() {
-    for scope in [Scope::All, Scope::FixedStats, Scope::Head, Scope::Geometry] {
+    for scope in [
+        Scope::All,
+        Scope::FixedStats,
+        Scope::Head,
+        Scope::Geometry,
+        Scope::FixedCameras,
+    ] {
         let (network, batch, step) = case(scope);
         let mut gradient = vec![0.0; network.parameters.len()];
         network.clone().train_step(&batch, &step, &mut gradient);

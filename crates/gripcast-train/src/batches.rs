@@ -1,11 +1,9 @@
 //! Batches of samples, decoded and augmented on all cores.
 
-use std::collections::BTreeMap;
-
 use rayon::prelude::*;
 
 use super::augment::{FLOATS, InputWriter, SampleImages, Slots, Written};
-use super::samples::{SampleFacts, SampleReader, Samples};
+use super::samples::{SampleReader, Samples};
 use gripcast_base::error::Result;
 use gripcast_imaging::Decoder;
 use gripcast_nn::predict::contract::{GEOMETRY_UNIT_M, Modality, RgbNormalisation};
@@ -42,30 +40,14 @@ impl<'a> Batches<'a> {
         }
     }
 
-    /// Balances the labels by loss weights, within each stopping force if all forces have both
-    /// labels: low forces slip more often, and the force is visible in the tactile images.
+    /// Balances the labels by loss weights.
     #[must_use]
     pub(super) fn balanced(mut self) -> Self {
-        let facts = self.samples.facts();
-        let by_force = |facts: &SampleFacts| facts.stop_force_n.map(f64::to_bits);
-        let balance = |key: &dyn Fn(&SampleFacts) -> Option<u64>| {
-            let mut counts: BTreeMap<Option<u64>, [usize; 2]> = BTreeMap::new();
-            for facts in facts {
-                counts.entry(key(facts)).or_default()[usize::from(facts.is_stable)] += 1;
-            }
-            let weight = |facts: &SampleFacts| {
-                let counts = counts.get(&key(facts)).copied().unwrap_or_default();
-                let same_label = counts[usize::from(facts.is_stable)];
-                (counts[0] + counts[1]) as f32 / (2 * same_label.max(1)) as f32
-            };
-            let has_both = counts
-                .values()
-                .all(|[slip, stable]| *slip > 0 && *stable > 0);
-            has_both.then(|| facts.iter().map(weight).collect())
-        };
-        if let Some(weights) = balance(&by_force).or_else(|| balance(&|_| None)) {
-            self.weights = weights;
-        }
+        let [slip, stable] = self.samples.by_label().map(|count| count.max(1) as f32);
+        let half = 0.5 * (slip + stable);
+        let facts = self.samples.facts().iter();
+        let weights = facts.map(|facts| half / if facts.is_stable { stable } else { slip });
+        self.weights = weights.collect();
         self
     }
 
@@ -186,42 +168,24 @@ mod tests {
     use crate::sample_dataset::{row, write_split};
 
     #[test]
-    fn labels_are_balanced_at_each_force() {
+    fn both_labels_have_the_same_weight() {
         let folder = tempfile::tempdir().unwrap();
-        let weights = |slip_force_n: f64| -> Vec<[f64; 3]> {
-            let rows = (0..12).map(|number| {
-                let mut row = row("train", number);
-                let is_slip = number % 2 == 0;
-                let force_n = if number < 3 || (is_slip && number < 6) {
-                    slip_force_n
-                } else {
-                    40.0
-                };
-                row.facts.stop_force_n = Some(force_n);
-                row
-            });
-            write_split(folder.path(), "train", rows);
-            let samples = Samples::open(folder.path(), "train").unwrap();
-            let writer = InputWriter::new(Augmentation::NONE, RgbNormalisation::NONE);
-            let batches = Batches::new(&samples, Modality::T, writer, 0).balanced();
-            let facts = samples.facts().iter().zip(&batches.weights);
-            facts
-                .map(|(facts, weight)| {
-                    let label = f64::from(u8::from(facts.is_stable));
-                    [facts.stop_force_n.unwrap(), label, f64::from(*weight)]
-                })
-                .collect()
+        // One slip for two stable samples.
+        let rows = (0..24)
+            .filter(|number| number % 4 != 2)
+            .map(|number| row("train", number));
+        write_split(folder.path(), "train", rows);
+        let samples = Samples::open(folder.path(), "train").unwrap();
+        let [slip, stable] = samples.by_label();
+        assert!(0 < slip && slip != stable, "{slip} {stable}");
+        let writer = InputWriter::new(Augmentation::NONE, RgbNormalisation::NONE);
+        let batches = Batches::new(&samples, Modality::T, writer, 0).balanced();
+        let sum = |is_stable: bool| -> f32 {
+            let weighed = samples.facts().iter().zip(&batches.weights);
+            let of = weighed.filter(|(facts, _)| facts.is_stable == is_stable);
+            of.map(|(_, weight)| weight).sum()
         };
-        let sum = |of: &[[f64; 3]], force_n: f64, label: f64| -> f64 {
-            let of = of.iter().filter(|x| x[0] == force_n && x[1] == label);
-            of.map(|x| x[2]).sum()
-        };
-        let two_forces = weights(10.0);
-        for force_n in [10.0, 40.0] {
-            let [slip, stable] = [0.0, 1.0].map(|label| sum(&two_forces, force_n, label));
-            assert!(slip > 0.0 && (slip - stable).abs() < 1e-5, "{force_n} N");
-        }
-        let one_force = weights(40.0);
-        assert!((sum(&one_force, 40.0, 0.0) - sum(&one_force, 40.0, 1.0)).abs() < 1e-5);
+        let [slip, stable] = [false, true].map(sum);
+        assert!((slip - stable).abs() < 1e-4 && (slip + stable - 18.0).abs() < 1e-4);
     }
 }

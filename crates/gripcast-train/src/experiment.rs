@@ -15,6 +15,7 @@ use super::run::{TrainEvent, train};
 use super::run_folder::RunFolder;
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
+use super::start::StartModel;
 use super::state::write;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root};
@@ -95,6 +96,8 @@ pub struct ExperimentSettings {
     pub seeds: u64,
     /// Training settings; the condition sets modality and seed.
     pub training: TrainSettings,
+    /// Model whose encoders of camera images are used; none to train them.
+    pub cameras: Option<StartModel>,
 }
 
 /// Results of the experiment.
@@ -230,7 +233,8 @@ fn train_model(
         seed,
         ..settings.training.clone()
     };
-    train(data, folder, &training, &|event| {
+    let cameras = settings.cameras.as_ref();
+    train(data, folder, &training, cameras, &|event| {
         on_progress(ExperimentEvent::Train(condition, seed, event));
     })?;
     let run = RunFolder::at(folder);

@@ -43,6 +43,7 @@ fn experiment_trains_tests_and_compares_conditions() {
             batch_size: 4,
             ..TrainSettings::new(Modality::Vt, architecture, 0)
         },
+        cameras: None,
     };
     let runs = std::sync::Mutex::new([0, 0]);
     let on_progress = |event| {

@@ -10,6 +10,7 @@ use super::metrics::{Summary, fit_temperature, youden_threshold};
 use super::ood::fit_tactile_reference;
 use super::run_folder::{EpochMetrics, RunFile, RunFolder};
 use super::samples::Samples;
+use super::settings::SourceModel;
 use super::start::StartModel;
 use super::state::write;
 use super::validate::{Logit, SplitLogits, logits};
@@ -195,7 +196,7 @@ fn contract(
         .split_first()
         .ok_or_else(|| Error::internal("the network has no output"))?;
     let text = |value: Option<f64>| value.map_or("none".to_owned(), |x| format!("{x:.4}"));
-    let other = BTreeMap::from(
+    let mut other = BTreeMap::from(
         [
             ("gripcast.licence", "MIT OR Apache-2.0".to_owned()),
             (ARCHITECTURE, settings.architecture.name.clone()),
@@ -222,6 +223,10 @@ fn contract(
         ]
         .map(|(key, value)| (key.to_owned(), value)),
     );
+    if let Some(SourceModel { name, sha256 }) = &settings.cameras {
+        other.insert("gripcast.cameras.name".to_owned(), name.clone());
+        other.insert("gripcast.cameras.sha256".to_owned(), sha256.clone());
+    }
     Ok(ModelContract {
         name: name.to_owned(),
         origin: Origin::Trained {
@@ -283,16 +288,22 @@ fn card(file: &RunFile, best: &EpochMetrics, validation: &Summary) -> String {
             "it has never been measured on the outcomes of real lifts",
         ]
     };
+    let cameras = file.settings.cameras.as_ref();
+    let cameras = cameras.map(|SourceModel { name, sha256 }| {
+        format!("- Encoders of camera images: those of `{name}` (sha256 {sha256}).\n")
+    });
     format!(
         "# Grasp stability from {modality}\n\n\
          Probability that a grasp holds when it is lifted, from images taken before the lift. \
          {trained}.\n\n\
          - Data: dataset {dataset}, seed {seed}, {arch} network, epoch {epoch}.\n\
+         {cameras}\
          - Validation split (other objects{also}; checkpoint, temperature and threshold \
          were chosen on it): n = {n}, accuracy {accuracy}, AUROC {auroc}, ECE {ece}.\n\
          - Limits: {limits}. It knows neither mass \
          nor friction but from what images show of them.\n\
          - Licence: MIT OR Apache-2.0.\n",
+        cameras = cameras.unwrap_or_default(),
         modality = file.settings.modality.words(),
         dataset = file.dataset_sha256,
         seed = file.settings.seed,

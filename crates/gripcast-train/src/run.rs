@@ -103,24 +103,33 @@ pub struct Trained {
     pub warnings: Vec<String>,
 }
 
-/// Trains a classifier, or resumes an interrupted run.
+/// Trains a classifier, or resumes an interrupted run. The encoders of camera images are those of
+/// `cameras` and stay as they are, or are trained too.
 ///
 /// # Errors
 /// `Usage`: settings out of range or other than those of the run in the folder. `Input`: a dataset
 /// without both labels, with an object in two splits, or with images of another size; a loss that
-/// is NaN or infinite (the best checkpoint is kept). `Busy`: another program trains in the folder.
+/// is NaN or infinite (the best checkpoint is kept); a model without fitting encoders of camera
+/// images. `Busy`: another program trains in the folder.
 /// Errors of reading and writing.
 pub fn train(
     data: &Path,
     out: &Path,
     settings: &TrainSettings,
+    cameras: Option<&StartModel>,
     on_progress: &(dyn Fn(TrainEvent) + Sync),
 ) -> Result<Trained> {
-    let settings = &TrainSettings {
+    let settings = TrainSettings {
+        cameras: None,
         fine_tuning: None,
         ..settings.clone()
     };
-    run(data, out, settings, None, on_progress)
+    let cameras = cameras.filter(|_| settings.modality.cameras().is_some());
+    let settings = match cameras {
+        Some(source) => settings.with_cameras(source),
+        None => settings,
+    };
+    run(data, out, &settings, cameras, on_progress)
 }
 
 /// Fine-tunes a trained model, or resumes an interrupted run: first the head alone, then all
@@ -153,7 +162,7 @@ fn run(
     // An invalid profile would fail the export after hours of training.
     CropProfile::by_name(train.crop_profile()).map_err(|e| e.at(data.display()))?;
     train.check_disjoint(&validation)?;
-    if start.is_none() {
+    if settings.fine_tuning.is_none() {
         check_inputs(settings.modality, &train)?;
     }
     for samples in [&train, &validation] {
@@ -161,7 +170,9 @@ fn run(
     }
     let mut warnings = Vec::new();
     if let Some(start) = start {
-        start.check_crop_profile(&train)?;
+        if settings.fine_tuning.is_some() {
+            start.check_crop_profile(&train)?;
+        }
         warnings.extend(start.seen(&validation));
     }
     let count = train.facts().len();
@@ -271,7 +282,7 @@ fn open_or_create(
         None if settings.modality.has_vision() => colour_normalisation(train)?,
         None => RgbNormalisation::NONE,
     };
-    if let Some(start) = start {
+    if let Some(start) = start.filter(|_| settings.fine_tuning.is_some()) {
         state::write(&folder.start(), start.bytes())?;
     }
     let file = RunFile {
@@ -328,10 +339,15 @@ impl<'a> Training<'a> {
     ) -> Result<Self> {
         let settings = &file.settings;
         let network = match start {
-            Some(start) => start.network().clone(),
-            None => {
+            Some(start) if settings.fine_tuning.is_some() => start.network().clone(),
+            cameras => {
                 let mut draw = SeedStream::named(settings.seed, "parameters");
-                untrained(settings, || draw.uniform())
+                let mut network = untrained(settings, || draw.uniform());
+                if let Some(source) = cameras {
+                    let copied = network.copy_cameras(source.network());
+                    copied.map_err(|e| source.no_cameras(e))?;
+                }
+                network
             }
         };
         let mut training = Self {

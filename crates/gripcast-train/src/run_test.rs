@@ -61,7 +61,7 @@ fn exported_model_matches_network() {
             ..settings(modality)
         };
         let out = out.join(modality.name());
-        let trained = train(&data, &out, &settings, &|_| {}).unwrap();
+        let trained = train(&data, &out, &settings, None, &|_| {}).unwrap();
         assert_eq!(trained.epochs, if modality == Modality::T { 6 } else { 7 });
         if modality != Modality::V {
             assert!(trained.best.validation_accuracy > 0.9, "{trained:?}");
@@ -127,17 +127,17 @@ fn killed_run_resumes_to_same_bytes() {
     let data = folder.path().join("data");
     write_dataset(&data, 24);
     let [whole, broken] = ["whole", "broken"].map(|name| folder.path().join(name));
-    train(&data, &whole, settings, &|_| {}).unwrap();
+    train(&data, &whole, settings, None, &|_| {}).unwrap();
     for last in [1_u64, 8, 14] {
         let killed = catch_panic::catch_panic(AssertUnwindSafe(|| {
-            train(&data, &broken, settings, &|event| {
+            train(&data, &broken, settings, None, &|event| {
                 let is_last = matches!(event, TrainEvent::Step { steps, .. } if steps[0] == last);
                 assert!(!is_last, "killed");
             })
         }));
         assert!(killed.is_err(), "step {last}");
     }
-    train(&data, &broken, settings, &|_| {}).unwrap();
+    train(&data, &broken, settings, None, &|_| {}).unwrap();
     let [whole, broken] = [whole, broken].map(RunFolder::at);
     assert_eq!(without_times(&whole), without_times(&broken));
     let network = |folder: &RunFolder| folder.best_network(settings).unwrap().0.parameters;
@@ -191,19 +191,19 @@ fn resuming_with_other_settings_or_dataset_is_refused() {
         epochs: 1,
         ..settings(Modality::T)
     };
-    train(&data, &out, &one, &|_| {}).unwrap();
+    train(&data, &out, &one, None, &|_| {}).unwrap();
     let other = TrainSettings {
         dropout: 0.5,
         ..one.clone()
     };
-    let error = train(&data, &out, &other, &|_| {}).unwrap_err();
+    let error = train(&data, &out, &other, None, &|_| {}).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Usage);
     assert!(
         error.to_string().contains("dropout 0.2, not 0.5"),
         "{error}"
     );
     write_dataset(&data, 12);
-    let error = train(&data, &out, &one, &|_| {}).unwrap_err();
+    let error = train(&data, &out, &one, None, &|_| {}).unwrap_err();
     assert!(error.to_string().contains("another dataset"), "{error}");
 }
 
@@ -217,12 +217,12 @@ fn runs_of_other_versions_are_refused() {
         epochs: 1,
         ..settings(Modality::Vt)
     };
-    train(&data, &out, &settings, &|_| {}).unwrap();
+    train(&data, &out, &settings, None, &|_| {}).unwrap();
     let run = RunFolder::at(&out);
     let mut older = serde_json::to_value(run.read().unwrap().unwrap()).unwrap();
     older["version"] = 1.into();
     fs::write(run.run().shown(), older.to_string()).unwrap();
-    let error = train(&data, &out, &settings, &|_| {}).unwrap_err();
+    let error = train(&data, &out, &settings, None, &|_| {}).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Usage);
     assert!(error.to_string().contains("found version 1"), "{error}");
 }
@@ -236,7 +236,7 @@ fn unusable_datasets_are_refused() {
         write_split(&data, "train", rows);
         write_split(&data, "validation", (0..4).map(|n| row(validation, n)));
         let out = folder.path().join(format!("{name}-run"));
-        let error = train(&data, &out, &settings, &|_| {}).unwrap_err();
+        let error = train(&data, &out, &settings, None, &|_| {}).unwrap_err();
         assert!(!out.exists(), "{name}");
         error.to_string()
     };
@@ -269,7 +269,7 @@ fn image_of_wrong_size_is_named() {
         (0..4).map(|n| row("validation", n)),
     );
     let out = folder.path().join("run");
-    let error = train(folder.path(), &out, &settings(Modality::T), &|_| {}).unwrap_err();
+    let error = train(folder.path(), &out, &settings(Modality::T), None, &|_| {}).unwrap_err();
     let text = error.to_string();
     assert!(
         text.contains("train-0005") && text.contains("160×120"),
@@ -291,7 +291,7 @@ fn nan_loss_ends_run_and_keeps_best_checkpoint() {
     let run = RunFolder::at(&out);
     // The first epoch ends; then a parameter is spoilt, as an overflow would.
     let killed = catch_panic::catch_panic(AssertUnwindSafe(|| {
-        train(&data, &out, &settings, &|event| {
+        train(&data, &out, &settings, None, &|event| {
             assert!(!matches!(event, TrainEvent::Epoch(_)), "killed");
         })
     }));
@@ -301,7 +301,7 @@ fn nan_loss_ends_run_and_keeps_best_checkpoint() {
     let arrays: Vec<&[f32]> = arrays.iter().map(Vec::as_slice).collect();
     state::save(&run.state(), &position, &arrays).unwrap();
     let best = fs::read(run.best().shown()).unwrap();
-    let error = train(&data, &out, &settings, &|_| {}).unwrap_err();
+    let error = train(&data, &out, &settings, None, &|_| {}).unwrap_err();
     let text = error.to_string();
     assert!(text.contains("NaN or infinite in epoch 2"), "{text}");
     assert!(text.contains("of epoch 1, is kept"), "{text}");
@@ -319,13 +319,13 @@ fn batch_size_is_limited_to_the_training_samples() {
         ..settings(Modality::T)
     };
     let out = folder.path().join("run");
-    let trained = train(&data, &out, &settings, &|_| {}).unwrap();
+    let trained = train(&data, &out, &settings, None, &|_| {}).unwrap();
     assert_eq!(trained.warnings.len(), 1, "{:?}", trained.warnings);
     assert!(trained.warnings[0].ends_with("the batch size is 6 instead of 16"));
     let file = RunFolder::at(&out).read().unwrap().unwrap();
     assert_eq!(file.settings.batch_size, 6);
     // The same command goes on with the run.
-    let again = train(&data, &out, &settings, &|_| {}).unwrap();
+    let again = train(&data, &out, &settings, None, &|_| {}).unwrap();
     assert_eq!(again, trained);
 }
 
@@ -340,9 +340,9 @@ fn second_trainer_in_a_folder_is_refused_with_the_first() {
     };
     let out = folder.path().join("run");
     let second = std::sync::Mutex::new(None);
-    train(&data, &out, &settings, &|event| {
+    train(&data, &out, &settings, None, &|event| {
         if matches!(event, TrainEvent::Started(_)) {
-            *second.lock().unwrap() = Some(train(&data, &out, &settings, &|_| {}));
+            *second.lock().unwrap() = Some(train(&data, &out, &settings, None, &|_| {}));
         }
     })
     .unwrap();
@@ -366,7 +366,7 @@ fn samples_without_depth_are_no_predictions_from_fewer_inputs() {
     write_dataset(&data, 16);
     let settings = settings(Modality::Vtd);
     let out = folder.path().join("run");
-    train(&data, &out, &settings, &|_| {}).unwrap();
+    train(&data, &out, &settings, None, &|_| {}).unwrap();
     let run = RunFolder::at(&out);
     let file = run.read().unwrap().unwrap();
     let onnx = finish(&run, &file, &data, "tiny", &|_| {}).unwrap().onnx;
@@ -386,7 +386,69 @@ fn samples_without_depth_are_no_predictions_from_fewer_inputs() {
 
     // Nor are predictions exported that nothing calibrates.
     without("validation");
-    let error = train(&data, &folder.path().join("other"), &settings, &|_| {}).unwrap_err();
+    let error = train(
+        &data,
+        &folder.path().join("other"),
+        &settings,
+        None,
+        &|_| {},
+    )
+    .unwrap_err();
     assert!(error.what().contains("split `validation`"), "{error}");
     assert!(error.remedy_text().unwrap().contains("--modality"));
+}
+
+#[test]
+fn cameras_of_a_model_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    write_dataset(&data, 24);
+    let source = |modality: Modality| {
+        let out = folder.path().join(modality.name());
+        train(&data, &out, &settings(modality), None, &|_| {}).unwrap();
+        let run = RunFolder::at(&out);
+        let file = run.read().unwrap().unwrap();
+        finish(&run, &file, &data, "source", &|_| {}).unwrap();
+        StartModel::by_name(&out.display().to_string()).unwrap()
+    };
+    let [cameras, touch] = [Modality::Vd, Modality::T].map(source);
+    let all = settings(Modality::Vtd);
+    let [whole, broken, refused] = ["whole", "broken", "refused"].map(|n| folder.path().join(n));
+    let trained = train(&data, &whole, &all, Some(&cameras), &|_| {}).unwrap();
+    // None of them learns the geometry.
+    assert_eq!(trained.epochs, all.epochs);
+    let run = RunFolder::at(&whole);
+    let file = run.read().unwrap().unwrap();
+    assert_eq!(file.settings.cameras.as_ref().unwrap().name, "source");
+    let (network, _) = run.best_network(&file.settings).unwrap();
+    let values = |network: &Network, start: &str| -> Vec<f32> {
+        let params = network.layout().params().iter();
+        let params = params.filter(|param| param.name.starts_with(start));
+        params
+            .flat_map(|param| network.parameters[param.range()].to_vec())
+            .collect()
+    };
+    for encoder in ["vision.", "depth."] {
+        let kept = values(&network, encoder);
+        assert!(
+            !kept.is_empty() && kept == values(cameras.network(), encoder),
+            "{encoder}"
+        );
+    }
+    let resumed = AssertUnwindSafe(|| {
+        train(&data, &broken, &all, Some(&cameras), &|event| {
+            assert!(!matches!(event, TrainEvent::Step { steps: [8, _], .. }));
+        })
+    });
+    assert!(catch_panic::catch_panic(resumed).is_err());
+    train(&data, &broken, &all, Some(&cameras), &|_| {}).unwrap();
+    let again = RunFolder::at(&broken).best_network(&file.settings).unwrap();
+    assert!(again.0.parameters == network.parameters);
+    let error = train(&data, &broken, &all, None, &|_| {}).unwrap_err();
+    assert!(error.to_string().contains("cameras"), "{error}");
+    let error = train(&data, &refused, &all, Some(&touch), &|_| {}).unwrap_err();
+    assert!(
+        error.to_string().contains("no encoder of colour images"),
+        "{error}"
+    );
 }

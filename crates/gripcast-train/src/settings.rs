@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::augment::Augmentation;
 use super::start::StartModel;
 use gripcast_base::error::{Error, Result};
-use gripcast_nn::predict::contract::{InputName, Modality};
+use gripcast_nn::predict::contract::Modality;
 use gripcast_nn::{Architecture, Scope};
 
 /// All settings that affect the result. A run is only resumed with the same settings.
@@ -39,9 +39,22 @@ pub struct TrainSettings {
     pub augmentation: Augmentation,
     /// Size of the shuffle buffer, bytes of encoded images.
     pub shuffle_buffer: usize,
+    /// Model with the encoders of camera images, which stay as they are; none to train them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cameras: Option<SourceModel>,
     /// Fine-tuning of a trained model; none for training from random parameters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fine_tuning: Option<FineTuning>,
+}
+
+/// A trained model that parameters are taken from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SourceModel {
+    /// Its name.
+    pub name: String,
+    /// SHA-256 of its file.
+    pub sha256: String,
 }
 
 /// Settings of fine-tuning. `epochs` of the settings train the head alone.
@@ -91,7 +104,20 @@ impl TrainSettings {
             patience: 0,
             augmentation: Augmentation::DEFAULT,
             shuffle_buffer: 1 << 30,
+            cameras: None,
             fine_tuning: None,
+        }
+    }
+
+    /// Returns these settings with the encoders of camera images of a model.
+    #[must_use]
+    pub fn with_cameras(self, source: &StartModel) -> Self {
+        Self {
+            cameras: Some(SourceModel {
+                name: source.contract().name.clone(),
+                sha256: source.sha256().to_owned(),
+            }),
+            ..self
         }
     }
 
@@ -122,14 +148,15 @@ impl TrainSettings {
 
     /// Inputs of the encoders that learn the geometry; none without one.
     pub(super) fn geometry_inputs(&self) -> Option<Modality> {
-        let cameras = |name: InputName| !name.role().is_tactile() && self.modality.has(name);
-        Modality::of(cameras).filter(|_| self.architecture.geometry)
+        let cameras = self.modality.cameras();
+        cameras.filter(|_| self.architecture.geometry)
     }
 
     /// Number of epochs that learn the geometry.
     fn geometry_epochs(&self) -> u32 {
-        match (self.geometry_inputs(), &self.fine_tuning) {
-            (Some(_), None) => self.pretrain_epochs,
+        let is_learned = self.cameras.is_none() && self.fine_tuning.is_none();
+        match self.geometry_inputs() {
+            Some(_) if is_learned => self.pretrain_epochs,
             _ => 0,
         }
     }
@@ -145,7 +172,10 @@ impl TrainSettings {
     pub(super) fn phase(&self, epoch: u32) -> Phase {
         let pretrain = self.geometry_epochs();
         let first = Phase {
-            scope: Scope::All,
+            scope: match &self.cameras {
+                Some(_) => Scope::FixedCameras,
+                None => Scope::All,
+            },
             first: pretrain,
             epochs: self.epochs,
             learning_rate: self.learning_rate,

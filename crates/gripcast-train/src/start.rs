@@ -1,4 +1,4 @@
-//! The trained model that fine-tuning starts from.
+//! The trained model that fine-tuning starts from, or that lends its encoders of camera images.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -139,6 +139,16 @@ impl StartModel {
         names
             .and_then(|names| serde_json::from_str(names).ok())
             .unwrap_or_default()
+    }
+
+    /// Explains why its encoders of camera images cannot be used.
+    pub(super) fn no_cameras(&self, error: Error) -> Error {
+        error
+            .at(format!("model `{}`", self.contract.name))
+            .replace_remedy(
+                "name a model that `train` wrote for a dataset with known extents, with the same \
+                 `--arch` and at least the camera inputs of this run",
+            )
     }
 
     /// Refuses samples with another crop profile.

@@ -67,7 +67,7 @@ impl Case {
         let dir = tempfile::tempdir().unwrap();
         let [data, start, own] = ["data", "start", "own"].map(|name| dir.path().join(name));
         write_dataset(&data, 24);
-        train(&data, &start, &settings(modality), &|_| {}).unwrap();
+        train(&data, &start, &settings(modality), None, &|_| {}).unwrap();
         let run = RunFolder::at(&start);
         let file = run.read().unwrap().unwrap();
         finish(&run, &file, &data, "first", &|_| {}).unwrap();
@@ -202,7 +202,7 @@ fn resuming_with_another_start_model_is_refused() {
     let error = fine_tune(&case.own, &tuned, &own_settings(), &other, 0, &|_| {}).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Usage);
     assert!(error.what().contains("start_sha256"), "{error}");
-    let error = train(&case.own, &tuned, &own_settings(), &|_| {}).unwrap_err();
+    let error = train(&case.own, &tuned, &own_settings(), None, &|_| {}).unwrap_err();
     assert!(error.what().contains("fine_tuning"), "{error}");
 }
 

@@ -166,6 +166,11 @@ impl Modality {
         other.inputs().into_iter().all(|name| self.has(name))
     }
 
+    /// Returns the camera inputs; none without one.
+    pub fn cameras(self) -> Option<Self> {
+        Self::of(|name| !name.role().is_tactile() && self.has(name))
+    }
+
     /// All modalities that it includes, itself first.
     #[must_use]
     pub fn subsets(self) -> Vec<Self> {
