@@ -16,11 +16,11 @@ pub(crate) fn chosen_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<
     let model = named_model(name, rig, is_quiet)?;
     let reads_depth = |model: &Model| model.contract().modality.has_depth();
     let has_depth = rig.cameras.contains_key(&Role::Depth);
-    if has_depth && !rig.is_depth_aligned() && !is_quiet && model.as_ref().is_some_and(reads_depth)
-    {
+    let is_unknown = has_depth && rig.depth_view().is_none();
+    if is_unknown && !is_quiet && model.as_ref().is_some_and(reads_depth) {
         note!(
-            "the depth images of this rig are not aligned to its colour images: the model predicts \
-             without them"
+            "the depth camera of this rig is not a RealSense D435, so the view of its images is \
+             unknown: the model predicts without them"
         );
     }
     Ok(model)
@@ -56,7 +56,7 @@ pub(crate) fn default_model(rig: &RigFile) -> Result<(&'static str, Option<Strin
 /// predicts from touch alone needs no other camera.
 pub(crate) fn misfit(model: &ModelContract, rig: &RigFile) -> Option<String> {
     let has = |name: InputName| match name {
-        InputName::Depth => rig.is_depth_aligned(),
+        InputName::Depth => rig.depth_view().is_some(),
         _ => rig.cameras.contains_key(&name.role()),
     };
     let usable = model.output_from(has).map(|output| output.modality);

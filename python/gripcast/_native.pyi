@@ -592,6 +592,7 @@ class Predictor:
         rgb: _Image | None = None,
         depth: _Depth | None = None,
         *,
+        depth_view: Literal["colour", "left-imager"] = "colour",
         crop: str | None = None,
     ) -> Prediction: ...
     @property

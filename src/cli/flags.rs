@@ -10,6 +10,7 @@ use crate::config::FlagValue;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::number::NumberRange;
 use gripcast_base::workers::cores;
+use gripcast_imaging::DepthView;
 use gripcast_nn::predict::contract::Modality;
 use gripcast_sim::EngineKind;
 use gripcast_sim::fem::GelResolution;
@@ -85,6 +86,17 @@ pub(super) fn modality() -> impl TypedValueParser<Value = Modality> {
         ("td", "Tactile differences and depth image", Modality::Td),
         ("vtd", "All of them", Modality::Vtd),
     ])
+}
+
+/// Parser of the view of a depth image.
+pub(super) fn depth_view() -> impl TypedValueParser<Value = DepthView> {
+    named(DepthView::ALL.map(|view| {
+        let help = match view {
+            DepthView::Colour => "Aligned to the colour image",
+            DepthView::LeftImager => "As a RealSense D435 streams it",
+        };
+        (view.name(), help, view)
+    }))
 }
 
 /// Parser of a number in a range.

@@ -15,15 +15,14 @@ use std::path::{Path, PathBuf};
 use image::RgbImage;
 use serde_json::{Value, json};
 
-use super::flags::above_zero;
-use super::flags::{ERROR_RATE, number};
+use super::flags::{ERROR_RATE, above_zero, depth_view, number};
 use super::predict_conformal::{self, ConformalArgs};
 use super::predict_stamp::{self, StampArgs};
 use super::{Context, print_report};
 use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular, save};
-use gripcast_imaging::{CropProfile, Decoder, decode_png_grey16};
+use gripcast_imaging::{CropProfile, Decoder, DepthView, decode_png_grey16};
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Modality, Origin};
 use gripcast_nn::predict::{
     Depth, GraspPrediction, InputImages, Model, ModelContract, PredictedLabel, SHIPPED, baseline,
@@ -78,12 +77,16 @@ struct ImagesArgs {
     /// Colour image, gripper closed
     #[arg(long, value_name = "FILE")]
     rgb: Option<PathBuf>,
-    /// Depth image aligned to the colour image, 16-bit PNG, gripper closed
+    /// Depth image, 16-bit PNG, gripper closed
     #[arg(long, value_name = "FILE")]
     depth: Option<PathBuf>,
     /// Depth of one count of the depth image, m
     #[arg(long, value_name = "M", default_value_t = 1e-3, value_parser = above_zero)]
     depth_unit_m: f64,
+    /// View of the depth image
+    #[arg(long, value_name = "VIEW", default_value = DepthView::Colour.name(),
+        value_parser = depth_view())]
+    depth_view: DepthView,
     /// Crop profile of the tactile images [default: the model's]
     #[arg(long, value_name = "PROFILE")]
     crop: Option<String>,
@@ -240,7 +243,8 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
             InputName::Depth => {
                 let depth = args.depth.as_deref();
                 let depth = depth.map(|path| depth_image(path, args.depth_unit_m));
-                Ok(depth.transpose()?.map(InputImages::Depth))
+                let depth = depth.transpose()?;
+                Ok(depth.map(|depth| InputImages::Depth(depth, args.depth_view)))
             }
         }
     })?;

@@ -26,7 +26,7 @@ use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_dataset::PredictionRecord;
-use gripcast_imaging::{GelChange, GelState, Role, TactileDifference};
+use gripcast_imaging::{DepthView, GelChange, GelState, Role, TactileDifference};
 use gripcast_nn::predict::{
     Adaptation, ConformalLimits, Depth, LivePrediction, LivePredictor, Model, Smoothing,
 };
@@ -40,8 +40,8 @@ const PREVIEW_GAIN: f32 = 1.5;
 pub(super) struct PredictionRules {
     /// Limits of the prediction sets.
     pub(super) limits: Option<ConformalLimits>,
-    /// Whether depth images are aligned to the colour images; a model does not get others.
-    pub(super) is_depth_aligned: bool,
+    /// View of the depth images; a model does not get those of an unknown one.
+    pub(super) depth_view: Option<DepthView>,
 }
 
 /// Requests to the inference thread.
@@ -655,8 +655,8 @@ impl Worker {
         for (role, image) in images {
             predictor.update(role, image, 0);
         }
-        match depth.filter(|_| self.rules.is_depth_aligned) {
-            Some(depth) => predictor.update_depth(depth, 0),
+        match depth.zip(self.rules.depth_view) {
+            Some((depth, view)) => predictor.update_depth(depth, view, 0),
             None => predictor.clear(Role::Depth),
         }
         let result = predictor.predict();
@@ -694,12 +694,12 @@ impl MarkerMessage {
 
 /// Gives a predictor the newest image of a camera.
 fn show(predictor: &mut LivePredictor, role: Role, decoded: &Decoded, rules: PredictionRules) {
-    match &decoded.depth {
-        Some(depth) if rules.is_depth_aligned => {
-            predictor.update_depth(depth, decoded.driver_time_ns);
+    match (&decoded.depth, rules.depth_view) {
+        (Some(depth), Some(view)) => {
+            predictor.update_depth(depth, view, decoded.driver_time_ns);
         }
-        Some(_) => predictor.clear(role),
-        None => predictor.update(role, (*decoded.image).clone(), decoded.driver_time_ns),
+        (Some(_), None) => predictor.clear(role),
+        (None, _) => predictor.update(role, (*decoded.image).clone(), decoded.driver_time_ns),
     }
 }
 

@@ -26,8 +26,8 @@ use gripcast_capture::camera::{
     SupervisionPolicy, monotonic_ns,
 };
 use gripcast_imaging::{
-    CropProfile, Decoder, Frame, FrameBytes, FramePool, PixelFormat, Role, draw_line, encode_jpeg,
-    synthetic_gel,
+    CropProfile, Decoder, DepthView, Frame, FrameBytes, FramePool, PixelFormat, Role, draw_line,
+    encode_jpeg, synthetic_gel,
 };
 use gripcast_nn::predict::Model;
 use gripcast_tactile::SensorProfile;
@@ -129,7 +129,7 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
         Some(model),
         PredictionRules {
             limits: None,
-            is_depth_aligned: true,
+            depth_view: Some(DepthView::Colour),
         },
         (scales, forces),
         (requests, inbox),

@@ -10,6 +10,10 @@ use crate::Pose;
 
 /// Position of the colour camera in the gripper frame, m.
 const POSITION_M: [f64; 3] = [0.0, -0.078, -0.165];
+/// Width and height of the images of an imager, px. A mode with another aspect ratio is a crop.
+const IMAGER_SIZE: [f64; 2] = [1280.0, 800.0];
+/// Focal length of an imager, px: 58° over 720 rows (D400 series data sheet, ± 1°).
+const IMAGER_FOCAL_PX: f64 = 649.5;
 /// Rotation of the optical axis from the approach direction towards the finger plane, rad.
 const PITCH_RAD: f64 = 22.0 * std::f64::consts::PI / 180.0;
 
@@ -22,6 +26,15 @@ impl WristCamera {
     pub const COLOUR_SIZE: [usize; 2] = [1280, 720];
     /// Focal length of the colour stream, px: 69.4° × 42.5° (D400 series data sheet).
     pub const COLOUR_FOCAL_PX: f64 = 925.0;
+
+    /// Offset of the left imager to the right of the colour camera, m.
+    pub const LEFT_IMAGER_M: f64 = 0.0147;
+
+    /// Focal length of a depth image of `width` × `height` as the camera streams it, px.
+    pub fn depth_focal_px(width: usize, height: usize) -> f64 {
+        let [full_width, full_height] = IMAGER_SIZE;
+        IMAGER_FOCAL_PX * (width as f64 / full_width).max(height as f64 / full_height)
+    }
 
     /// Pose of the colour camera in the gripper frame.
     pub fn t_gripper_camera() -> Pose {

@@ -57,4 +57,4 @@ pub use png::{
 };
 pub use resample::{RgbScaler, crop_and_resize};
 pub use srgb::{linear_to_srgb, srgb_decode, srgb_encode, srgb_to_linear};
-pub use z16::{DepthImage, valid_depth_fraction};
+pub use z16::{DepthImage, DepthView, valid_depth_fraction};

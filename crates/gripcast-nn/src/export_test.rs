@@ -8,6 +8,7 @@ use crate::predict::contract::{
 };
 use crate::predict::{Depth, Model, ModelInput, PointMap, SHIPPED, model_bytes, onnx};
 use gripcast_base::random::SeedStream;
+use gripcast_imaging::DepthView;
 
 fn contract(architecture: &Architecture, modality: Modality, temperature: f64) -> ModelContract {
     let heads = architecture.heads(modality).into_iter().skip(1).enumerate();
@@ -93,10 +94,8 @@ fn images(model: &Model, draw: &mut SeedStream) -> (ModelInput, Batch) {
     let image = gripcast_imaging::DepthImage::from_fn(320, 240, |_, _| {
         image::Luma([(draw.bits() % 300) as u16])
     });
-    let points = PointMap::new(&Depth {
-        image,
-        unit_m: 1e-3,
-    });
+    let unit_m = 1e-3;
+    let points = PointMap::new(&Depth { image, unit_m }, DepthView::Colour);
     input.set_depth(&points).unwrap();
     if model.contract().modality.has_depth() {
         batch.depth.extend(points.points().as_flattened());

@@ -10,7 +10,7 @@ use super::arrays::{depth_counts, image};
 use super::failure::Outcome;
 use super::work::{detached, interruptible, pool};
 use gripcast_base::error::{Error, Result};
-use gripcast_imaging::{CropProfile, crop_and_resize};
+use gripcast_imaging::{CropProfile, DepthView, crop_and_resize};
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName};
 use gripcast_nn::predict::{Depth, InputImages, Model, SHIPPED};
 
@@ -45,12 +45,13 @@ impl Predictor {
     ///
     /// `initial` and `grasp` are the images (left, right) of the gels with the gripper open and closed,
     /// `rgb` is the colour image with the gripper closed: height × width × 3, uint8, RGB. `depth` is
-    /// the depth image aligned to it: height × width, uint16, mm. Inputs that are not given are
+    /// the depth image: height × width, uint16, mm; its `depth_view` is `colour` if it is aligned to the
+    /// colour image, `left-imager` for a D435's as it streams them. Inputs that are not given are
     /// missing: the model predicts from the others if it can (`Prediction.inputs`). Tactile
     /// images are cropped already and of 320 × 240 pixels, as those of `Grasp.tactile_image` and
     /// `render_tactile`, unless `crop` names a crop profile (`Predictor.crop_profile` for frames of a
     /// camera, `full-v1` for none).
-    #[pyo3(signature = (initial = None, grasp = None, rgb = None, depth = None, *, crop = None))]
+    #[pyo3(signature = (initial = None, grasp = None, rgb = None, depth = None, *, depth_view = "colour", crop = None))]
     fn predict(
         &self,
         py: Python<'_>,
@@ -58,8 +59,18 @@ impl Predictor {
         grasp: Option<Pair<'_>>,
         rgb: Option<Bound<'_, PyAny>>,
         depth: Option<Bound<'_, PyAny>>,
+        depth_view: &str,
         crop: Option<&str>,
     ) -> Outcome<Prediction> {
+        let views = DepthView::ALL.into_iter();
+        let view = views.clone().find(|view| view.name() == depth_view);
+        let view = view.ok_or_else(|| {
+            let names: Vec<&str> = views.map(DepthView::name).collect();
+            Error::usage(format!(
+                "`depth_view`: expected {}, found `{depth_view}`",
+                names.join(" or ")
+            ))
+        })?;
         let contract = self.model.contract();
         let crop = crop.map(CropProfile::by_name).transpose()?;
         if let Some(crop) = crop.filter(|crop| *crop != CropProfile::FULL) {
@@ -109,7 +120,7 @@ impl Predictor {
                         }
                         InputName::Depth => Ok(depth.clone().map(|image| {
                             let unit_m = 1e-3;
-                            InputImages::Depth(Depth { image, unit_m })
+                            InputImages::Depth(Depth { image, unit_m }, view)
                         })),
                     }
                 })

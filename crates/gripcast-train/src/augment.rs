@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::ShardImages;
-use gripcast_imaging::{Decoder, decode_png_grey16};
+use gripcast_imaging::{Decoder, DepthView, decode_png_grey16};
 use gripcast_nn::IMAGE;
 use gripcast_nn::predict::contract::{InputName, Modality, RgbNormalisation};
 use gripcast_nn::predict::{Depth, PointMap};
@@ -113,7 +113,7 @@ impl SampleImages {
         let depth = depth.map(|bytes| {
             let image = decode_png_grey16(bytes).map_err(|e| e.at("grasp_depth"))?;
             let unit_m = DEPTH_UNIT_M;
-            Ok::<_, Error>(PointMap::new(&Depth { image, unit_m }))
+            Ok::<_, Error>(PointMap::new(&Depth { image, unit_m }, DepthView::Colour))
         });
         let mut image = |is_used: bool, name: &str, bytes: &[u8]| {
             if !is_used {

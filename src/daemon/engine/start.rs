@@ -80,7 +80,7 @@ impl Engine {
             setup.model,
             PredictionRules {
                 limits,
-                is_depth_aligned: setup.rig.is_depth_aligned(),
+                depth_view: setup.rig.depth_view(),
             },
             (setup.gel_scales, setup.gel_forces),
             infer_channel,

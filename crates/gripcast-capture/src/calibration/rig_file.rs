@@ -11,7 +11,7 @@ use crate::camera::{CONTROLS, FORMER_NAMES};
 use crate::device::are_twins;
 use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_base::files::is_system_file;
-use gripcast_imaging::{MAX_SIDE, PixelFormat, Role};
+use gripcast_imaging::{DepthView, MAX_SIDE, PixelFormat, Role};
 
 /// Version of the rig file format.
 const SCHEMA: u32 = 1;
@@ -168,12 +168,19 @@ impl CameraConfig {
 }
 
 impl RigFile {
-    /// Whether the depth images are aligned to the colour images: those of the virtual rig are,
-    /// those of a D435 are seen from its left imager.
+    /// Camera whose view the depth images show: those of the virtual rig are aligned to its colour
+    /// images, those of a D435 are seen from its left imager. None without a depth camera or for
+    /// one of another product, whose lenses are not known.
     #[must_use]
-    pub fn is_depth_aligned(&self) -> bool {
-        let depth = self.cameras.get(&Role::Depth);
-        depth.is_some_and(|camera| camera.source == SourceKind::Virtual)
+    pub fn depth_view(&self) -> Option<DepthView> {
+        let camera = self.cameras.get(&Role::Depth)?;
+        match camera.source {
+            SourceKind::Virtual => Some(DepthView::Colour),
+            _ => camera
+                .product
+                .contains("435")
+                .then_some(DepthView::LeftImager),
+        }
     }
 
     /// The built-in rig: two simulated tactile sensors, colour and depth.

@@ -200,13 +200,24 @@ fn rigs_are_found_by_name_and_path() {
 }
 
 #[test]
-fn depth_of_real_cameras_is_not_aligned() {
+fn view_of_depth_images_follows_from_camera() {
     let mut rig = RigFile::virtual_rig();
-    assert!(rig.is_depth_aligned());
+    assert_eq!(rig.depth_view(), Some(DepthView::Colour));
     for source in [SourceKind::V4l2, SourceKind::Replay] {
-        rig.cameras.get_mut(&Role::Depth).unwrap().source = source;
-        assert!(!rig.is_depth_aligned(), "{source:?}");
+        let depth = rig.cameras.get_mut(&Role::Depth).unwrap();
+        depth.source = source;
+        for (product, view) in [
+            (
+                "Intel(R) RealSense(TM) Depth Camera 435",
+                Some(DepthView::LeftImager),
+            ),
+            ("Intel(R) RealSense(TM) Depth Camera 455", None),
+            ("", None),
+        ] {
+            product.clone_into(&mut rig.cameras.get_mut(&Role::Depth).unwrap().product);
+            assert_eq!(rig.depth_view(), view, "{source:?} {product}");
+        }
     }
     rig.cameras.remove(&Role::Depth);
-    assert!(!rig.is_depth_aligned());
+    assert_eq!(rig.depth_view(), None);
 }

@@ -10,7 +10,7 @@ use super::engine::Model;
 use super::input::ModelInput;
 use super::points::{Depth, PointMap};
 use gripcast_base::error::Result;
-use gripcast_imaging::{DepthImage, TactileDifference};
+use gripcast_imaging::{DepthImage, DepthView, TactileDifference};
 
 /// Number of loads per measurement.
 const LOADS: usize = 5;
@@ -131,7 +131,8 @@ fn fill(input: &mut ModelInput, model: &Model, initial: &RgbImage, grasp: &RgbIm
                     image::Luma([(150 + (x + y) % 100) as u16])
                 });
                 let unit_m = 1e-3;
-                input.set_depth(&PointMap::new(&Depth { image, unit_m }))?;
+                let points = PointMap::new(&Depth { image, unit_m }, DepthView::Colour);
+                input.set_depth(&points)?;
             }
             tactile => {
                 let difference = TactileDifference::between(initial, grasp)?;

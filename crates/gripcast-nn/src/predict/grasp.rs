@@ -8,7 +8,7 @@ use super::input::ModelInput;
 use super::label::{PredictedLabel, contact_doubt};
 use super::points::{Depth, PointMap};
 use gripcast_base::error::Result;
-use gripcast_imaging::{GelCells, GelChange, TactileDifference};
+use gripcast_imaging::{DepthView, GelCells, GelChange, TactileDifference};
 
 /// Images for one input of a model, cropped and at the model's size.
 #[derive(Clone, Debug)]
@@ -22,8 +22,8 @@ pub enum InputImages {
     },
     /// Colour image with the gripper closed.
     Rgb(RgbImage),
-    /// Depth image with the gripper closed, aligned to the colour image.
-    Depth(Depth),
+    /// Depth image with the gripper closed, and the camera whose view it shows.
+    Depth(Depth, DepthView),
 }
 
 /// What a model says of a grasp.
@@ -57,7 +57,9 @@ impl Model {
             match images(name)? {
                 None => {}
                 Some(InputImages::Rgb(image)) => input.set_rgb(&image)?,
-                Some(InputImages::Depth(depth)) => input.set_depth(&PointMap::new(&depth))?,
+                Some(InputImages::Depth(depth, view)) => {
+                    input.set_depth(&PointMap::new(&depth, view))?
+                }
                 Some(InputImages::Tactile { initial, grasp }) => {
                     let difference = TactileDifference::between(&initial, &grasp)?;
                     let (initial, grasp) = (GelCells::new(&initial)?, GelCells::new(&grasp)?);

@@ -10,7 +10,7 @@ use super::input::ModelInput;
 use super::points::{Depth, PointMap};
 use gripcast_base::error::Result;
 use gripcast_geometry::GraspGeometry;
-use gripcast_imaging::{Role, TactileDifference};
+use gripcast_imaging::{DepthView, Role, TactileDifference};
 
 /// A model with the initial images and the newest image of each role.
 ///
@@ -111,11 +111,11 @@ impl LivePredictor {
         self.set_newest(role, image);
     }
 
-    /// Sets the newest depth image, which is aligned to the colour image.
-    pub fn update_depth(&mut self, depth: &Depth, driver_time_ns: u64) {
+    /// Sets the newest depth image of a view.
+    pub fn update_depth(&mut self, depth: &Depth, view: DepthView, driver_time_ns: u64) {
         if self.model.contract().modality.has_depth() {
             self.depth = Some(DepthFrame {
-                points: PointMap::new(depth),
+                points: PointMap::new(depth, view),
                 driver_time_ns,
             });
         }

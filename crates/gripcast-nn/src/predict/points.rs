@@ -1,12 +1,14 @@
 //! Depth images as points in the gripper frame.
 
 use gripcast_geometry::WristCamera;
-use gripcast_imaging::DepthImage;
+use gripcast_imaging::{DepthImage, DepthView};
 
 use super::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
 
 const WIDTH: usize = IMAGE_WIDTH as usize;
 const HEIGHT: usize = IMAGE_HEIGHT as usize;
+/// Principal point, px.
+const CENTRE: [f64; 2] = [0.5 * (WIDTH as f64 - 1.0), 0.5 * (HEIGHT as f64 - 1.0)];
 /// Unit of x and y, m.
 const UNIT_M: f64 = 0.1;
 /// Depth with an inverse depth of 1, m.
@@ -25,54 +27,98 @@ pub struct Depth {
     pub unit_m: f64,
 }
 
-/// Points of a depth image that is aligned to the colour image: x and y in the gripper frame and
-/// the inverse depth of each pixel of a 320×240 image of the [`WristCamera`] at its nominal mount,
-/// row-major; zeros without depth.
-///
-/// The image is resampled to its centre crop of 4:3 by the nearest pixel, as mixing depths across
-/// an edge would make points that do not exist.
-#[derive(Clone, Debug)]
-pub struct PointMap(Vec<[f32; 3]>);
+impl Depth {
+    /// Depth of a code, m; none if it is unknown.
+    fn depth_m(&self, code: u16) -> Option<f64> {
+        let z = f64::from(code) * self.unit_m;
+        (!matches!(code, 0 | OUT_OF_RANGE) && z > 0.0).then_some(z)
+    }
 
-impl PointMap {
-    /// Converts a depth image.
-    pub fn new(depth: &Depth) -> Self {
-        let (width, height) = depth.image.dimensions();
-        if width == 0 || height == 0 {
-            return Self(vec![[0.0; 3]; WIDTH * HEIGHT]);
-        }
+    /// Depths (m, 0: unknown) of the centre crop of 4:3 of an image that is aligned to the colour
+    /// image. They are those of the nearest pixels, as mixing depths across an edge would make
+    /// points that do not exist.
+    fn cropped(&self) -> Vec<f64> {
+        let (width, height) = self.image.dimensions();
         let scale = (f64::from(width) / WIDTH as f64).min(f64::from(height) / HEIGHT as f64);
         let nearest = |side: u32, all: usize, at: usize| {
             let position = 0.5 * f64::from(side) + (at as f64 + 0.5 - 0.5 * all as f64) * scale;
             (position as u32).min(side - 1)
         };
         let columns: Vec<u32> = (0..WIDTH).map(|x| nearest(width, WIDTH, x)).collect();
+        let rows = (0..HEIGHT).map(|y| nearest(height, HEIGHT, y));
+        let pixels = rows.flat_map(|row| columns.iter().map(move |column| (*column, row)));
+        let depths = pixels.map(|(x, y)| self.depth_m(self.image.get_pixel(x, y)[0]));
+        depths.map(Option::unwrap_or_default).collect()
+    }
+
+    /// Depths (m, 0: unknown) in the colour image of an image of the left imager, whose optical
+    /// axes are parallel to those of the colour camera; the nearest surface of each pixel.
+    fn from_left_imager(&self) -> Vec<f64> {
+        let (width, height) = self.image.dimensions();
+        let from = WristCamera::depth_focal_px(width as usize, height as usize);
+        let to = WristCamera::focal_px(WIDTH, HEIGHT);
+        let middle = [width, height].map(|side| 0.5 * (f64::from(side) - 1.0));
+        // Half a pixel of the depth image in the colour image, and at least half of one there.
+        let reach = 0.5 * (to / from).max(1.0);
+        let covered = |at: f64, count: usize| {
+            let [first, end] = [(at - reach).ceil(), (at + reach).floor() + 1.0];
+            first.max(0.0) as usize..end.clamp(0.0, count as f64) as usize
+        };
+        let mut depths = vec![0.0; WIDTH * HEIGHT];
+        for (x, y, code) in self.image.enumerate_pixels() {
+            let Some(z) = self.depth_m(code[0]) else {
+                continue;
+            };
+            let [u, v] = [(x, middle[0]), (y, middle[1])].map(|(at, m)| (f64::from(at) - m) / from);
+            let column = CENTRE[0] + to * (u + WristCamera::LEFT_IMAGER_M / z);
+            for row in covered(CENTRE[1] + to * v, HEIGHT) {
+                for column in covered(column, WIDTH) {
+                    let depth = &mut depths[row * WIDTH + column];
+                    if *depth == 0.0 || z < *depth {
+                        *depth = z;
+                    }
+                }
+            }
+        }
+        depths
+    }
+}
+
+/// Points of a depth image: x and y in the gripper frame and the inverse depth of each pixel of a
+/// 320×240 image of the [`WristCamera`] at its nominal mount, row-major; zeros without depth.
+#[derive(Clone, Debug)]
+pub struct PointMap(Vec<[f32; 3]>);
+
+impl PointMap {
+    /// Converts a depth image of a view. That of a D435's left imager is projected to the colour
+    /// camera by the nominal lenses and distance (D400 series data sheet).
+    pub fn new(depth: &Depth, view: DepthView) -> Self {
+        let (width, height) = depth.image.dimensions();
+        if width == 0 || height == 0 {
+            return Self(vec![[0.0; 3]; WIDTH * HEIGHT]);
+        }
+        let depths_m = match view {
+            DepthView::Colour => depth.cropped(),
+            DepthView::LeftImager => depth.from_left_imager(),
+        };
         let pose = WristCamera::t_gripper_camera();
         let rotation = pose.rotation_matrix();
         let focal = WristCamera::focal_px(WIDTH, HEIGHT);
-        let centre = [WIDTH, HEIGHT].map(|side| 0.5 * (side as f64 - 1.0));
-        let mut points = Vec::with_capacity(WIDTH * HEIGHT);
-        for y in 0..HEIGHT {
-            let row = nearest(height, HEIGHT, y);
-            let v = (y as f64 - centre[1]) / focal;
-            for (x, column) in columns.iter().enumerate() {
-                let code = depth.image.get_pixel(*column, row)[0];
-                let z = f64::from(code) * depth.unit_m;
-                if matches!(code, 0 | OUT_OF_RANGE) || z <= 0.0 {
-                    points.push([0.0; 3]);
-                    continue;
-                }
-                let u = (x as f64 - centre[0]) / focal;
-                let at = |axis: usize| {
-                    let direction = rotation.row(axis);
-                    let along = direction.x * u + direction.y * v + direction.z;
-                    let position = pose.translation_m[axis] + z * along;
-                    (position / UNIT_M).clamp(-MAX, MAX) as f32
-                };
-                points.push([at(0), at(1), (NEAR_M / z) as f32]);
+        let points = depths_m.iter().enumerate().map(|(pixel, z)| {
+            if *z <= 0.0 {
+                return [0.0; 3];
             }
-        }
-        Self(points)
+            let [u, v] = [pixel % WIDTH, pixel / WIDTH].map(|at| at as f64);
+            let [u, v] = [(u - CENTRE[0]) / focal, (v - CENTRE[1]) / focal];
+            let at = |axis: usize| {
+                let direction = rotation.row(axis);
+                let along = direction.x * u + direction.y * v + direction.z;
+                let position = pose.translation_m[axis] + z * along;
+                (position / UNIT_M).clamp(-MAX, MAX) as f32
+            };
+            [at(0), at(1), (NEAR_M / z) as f32]
+        });
+        Self(points.collect())
     }
 
     /// The points, row-major.
@@ -110,10 +156,8 @@ mod tests {
                     image.put_pixel(x as u32, y as u32, Luma([(depth_mm * 10.0) as u16]));
                 }
             }
-            let map = PointMap::new(&Depth {
-                image,
-                unit_m: 1e-4,
-            });
+            let unit_m = 1e-4;
+            let map = PointMap::new(&Depth { image, unit_m }, DepthView::Colour);
             let [x, y] = WristCamera::project(point, WIDTH, HEIGHT).unwrap();
             let index = y.round() as usize * WIDTH + x.round() as usize;
             let [px, py, inverse] = map.points()[index];
@@ -129,16 +173,89 @@ mod tests {
     fn unknown_depths_are_zeros() {
         for code in [0, u16::MAX] {
             let image = DepthImage::from_pixel(640, 480, Luma([code]));
-            let map = PointMap::new(&Depth {
-                image,
-                unit_m: 1e-3,
-            });
-            assert!(map.points().iter().all(|point| *point == [0.0; 3]));
+            let unit_m = 1e-3;
+            for view in DepthView::ALL {
+                let image = image.clone();
+                let map = PointMap::new(&Depth { image, unit_m }, view);
+                assert!(map.points().iter().all(|point| *point == [0.0; 3]));
+            }
         }
-        let map = PointMap::new(&Depth {
+        let empty = Depth {
             image: DepthImage::new(0, 0),
             unit_m: 1e-3,
-        });
+        };
+        let map = PointMap::new(&empty, DepthView::LeftImager);
         assert_eq!(map.points().len(), WIDTH * HEIGHT);
+    }
+
+    /// Focal lengths of D435s as their factory tables give them, px, are within 2 % of these.
+    #[test]
+    fn depth_modes_have_the_focal_lengths_of_a_d435() {
+        for (width, height, found) in [
+            (1280, 720, 643.0),
+            (848, 480, 426.0),
+            (640, 480, 386.0),
+            (640, 360, 321.5),
+            (480, 270, 241.0),
+            (424, 240, 213.0),
+        ] {
+            let focal = WristCamera::depth_focal_px(width, height);
+            assert!((focal / found - 1.0).abs() < 0.02, "{width}: {focal}");
+        }
+    }
+
+    #[test]
+    fn left_imager_is_projected_to_colour_camera() {
+        let camera = WristCamera::t_gripper_camera();
+        let (near, far) = (0.15, 0.30);
+        for (width, height) in [(848, 480), (640, 480), (480, 270), (424, 240)] {
+            let focal = WristCamera::depth_focal_px(width, height);
+            let middle = [width, height].map(|side| 0.5 * (side as f64 - 1.0));
+            // A wall, and a plate of 30 mm before it that starts on the colour camera's axis.
+            let plate = |u: f64, v: f64| {
+                let x = u * near + WristCamera::LEFT_IMAGER_M;
+                (0.0..0.03).contains(&x) && (v * near).abs() < 0.01
+            };
+            let image = DepthImage::from_fn(width as u32, height as u32, |x, y| {
+                let [u, v] = [
+                    (f64::from(x) - middle[0]) / focal,
+                    (f64::from(y) - middle[1]) / focal,
+                ];
+                Luma([if plate(u, v) { 1500 } else { 3000 }])
+            });
+            let unit_m = 1e-4;
+            let map = PointMap::new(&Depth { image, unit_m }, DepthView::LeftImager);
+            let to = WristCamera::focal_px(WIDTH, HEIGHT);
+            let point = |x_m: f64, y_m: f64, z_m: f64| {
+                let column = (CENTRE[0] + to * x_m / z_m).round() as usize;
+                let row = (CENTRE[1] + to * y_m / z_m).round() as usize;
+                map.points()[row * WIDTH + column]
+            };
+            for (x_m, y_m, z_m) in [
+                (0.002, 0.0, near),
+                (0.028, 0.008, near),
+                (-0.02, 0.0, far),
+                (0.064, 0.0, far),
+                (0.0, 0.06, far),
+            ] {
+                let [x, y, inverse] = point(x_m, y_m, z_m).map(f64::from);
+                assert!(
+                    (inverse - NEAR_M / z_m).abs() < 1e-3,
+                    "{width}: {x_m} {inverse}"
+                );
+                let expected = camera.transform_point(glam::DVec3::new(x_m, y_m, z_m));
+                assert!((x * UNIT_M - expected.x).abs() < 1e-3, "{width}: {x_m} {x}");
+                assert!((y * UNIT_M - expected.y).abs() < 1e-3, "{width}: {y_m} {y}");
+            }
+            // Beside its left edge the plate hides the wall from the left imager; elsewhere there
+            // are no gaps.
+            let row = &map.points()[HEIGHT / 2 * WIDTH..][..WIDTH];
+            let unknown = row.iter().filter(|point| **point == [0.0; 3]).count();
+            let shadow = to * WristCamera::LEFT_IMAGER_M * (1.0 / near - 1.0 / far);
+            assert!(
+                unknown as f64 <= shadow + 3.0,
+                "{width}: {unknown} {shadow}"
+            );
+        }
     }
 }

@@ -12,7 +12,7 @@ use gripcast_geometry::{Pose, WristCamera};
 /// Stereo baseline, m.
 pub(super) const BASELINE_M: f64 = 0.050;
 /// Offset of the left imager to the right of the colour camera, m.
-pub(super) const LEFT_IMAGER_M: f64 = 0.0147;
+pub(super) const LEFT_IMAGER_M: f64 = WristCamera::LEFT_IMAGER_M;
 
 /// Returns the colour camera for a centre crop with the aspect ratio of `width` × `height`, scaled
 /// to that size.
