@@ -34,6 +34,8 @@ pub(super) struct LiveLift {
     previous: [GelMotion; 2],
     /// Newer images, left and right.
     newest: [Option<GelMotion>; 2],
+    /// Driver time of the first alarm, ns.
+    alarm_time_ns: Option<u64>,
 }
 
 impl LiveLift {
@@ -44,6 +46,7 @@ impl LiveLift {
             before,
             previous: before,
             newest: [None; 2],
+            alarm_time_ns: None,
         }
     }
 
@@ -68,12 +71,16 @@ impl LiveLift {
         let verdict = head.verdict(self.p_before, &self.before, &self.previous, &now);
         self.previous = now;
         self.newest = [None; 2];
+        if verdict.is_slipping {
+            self.alarm_time_ns.get_or_insert(frame_time_ns);
+        }
         Some(LiftStatus {
             p_stable: verdict.p_stable,
             p_before: self.p_before,
             threshold: head.threshold,
             is_stable: verdict.is_stable,
             is_slipping: verdict.is_slipping,
+            alarm_time_ns: self.alarm_time_ns,
             frame_time_ns,
         })
     }
@@ -120,9 +127,14 @@ mod tests {
         assert_eq!(lift.add(&head, Role::Rgb, gel(10.0), 2), None);
         let held = lift.add(&head, Role::Right, gel(10.0), 3).unwrap();
         assert!(held.is_stable && !held.is_slipping && held.frame_time_ns == 3);
+        assert_eq!(held.alarm_time_ns, None);
         assert_eq!(lift.add(&head, Role::Right, gel(1.0), 4), None);
         let lost = lift.add(&head, Role::Left, gel(1.0), 5).unwrap();
         assert!(lost.is_slipping && !lost.is_stable && lost.p_before == 0.5);
+        assert_eq!(lost.alarm_time_ns, Some(5));
+        lift.add(&head, Role::Left, gel(10.0), 6);
+        let again = lift.add(&head, Role::Right, gel(10.0), 7).unwrap();
+        assert!(!again.is_slipping && again.alarm_time_ns == Some(5));
     }
 
     #[test]

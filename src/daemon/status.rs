@@ -240,6 +240,8 @@ pub struct LiftStatus {
     pub is_stable: bool,
     /// Whether the contact is being lost.
     pub is_slipping: bool,
+    /// Driver time of the first tactile frame in which it was being lost, ns.
+    pub alarm_time_ns: Option<u64>,
     /// Driver time of the newest tactile frame, ns.
     pub frame_time_ns: u64,
 }

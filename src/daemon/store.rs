@@ -21,7 +21,7 @@ use gripcast_base::catch_panic;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::ContentKey;
 use gripcast_dataset::{
-    BoardKeys, Dataset, DatasetWriter, FieldArray, GraspId, GraspMeta, PendingInitial,
+    BoardKeys, Dataset, DatasetWriter, FieldArray, GraspId, GraspMeta, LiftVerdict, PendingInitial,
     PredictionRecord, Stage, StageCapture,
 };
 use gripcast_imaging::{CropProfile, Decoder, Frame, FrameDamage, Role};
@@ -80,6 +80,8 @@ pub(super) struct StoreJob {
     pub(super) boards: Option<[String; 2]>,
     /// Latency of the live prediction at the trigger, ms.
     pub(super) latency_ms: f64,
+    /// Verdict in the lift of the grasp that is labelled.
+    pub(super) verdict: Option<LiftVerdict>,
 }
 
 /// Data common to all grasps of a session.
@@ -288,7 +290,8 @@ impl Worker {
             }
             StoreRequest::SetOutcome { id, outcome } => {
                 let before = self.writer.outcome(&id).map(|(_, outcome)| outcome);
-                let record = self.writer.set_outcome(&id, outcome, Timestamp::now())?;
+                let now = Timestamp::now();
+                let record = self.writer.set_outcome(&id, outcome, now, job.verdict)?;
                 Ok(StoreReply::Labelled {
                     id,
                     object: record.object,

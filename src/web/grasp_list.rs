@@ -233,7 +233,9 @@ mod tests {
         assert_eq!(mugs.grasps.len(), 2);
 
         let at = "2026-11-20T11:00:00Z".parse().unwrap();
-        writer.set_outcome(&saved[0], Outcome::Slip, at).unwrap();
+        writer
+            .set_outcome(&saved[0], Outcome::Slip, at, None)
+            .unwrap();
         writer.trash_grasp(&saved[1]).unwrap();
         let slips = page(GraspQuery {
             outcome: Some(Outcome::Slip),

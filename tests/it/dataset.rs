@@ -136,7 +136,7 @@ pub(super) fn write_dataset(root: &Path, objects: &[&str]) -> Vec<GraspId> {
         if !is_last {
             let outcome = [Outcome::Stable, Outcome::Slip][index % 2];
             let at = "2026-11-20T11:00:00Z".parse().unwrap();
-            writer.set_outcome(&id, outcome, at).unwrap();
+            writer.set_outcome(&id, outcome, at, None).unwrap();
         }
         ids.push(id);
     }
@@ -166,7 +166,7 @@ pub(super) fn write_mixed_dataset(root: &Path) {
         let id = writer.save_grasp(&pending, &closed, meta).unwrap().id;
         if !is_bare {
             let at = "2026-11-20T11:00:00Z".parse().unwrap();
-            writer.set_outcome(&id, Outcome::Stable, at).unwrap();
+            writer.set_outcome(&id, Outcome::Stable, at, None).unwrap();
         }
         if index >= 8 {
             let frame = |at: u32, role| camera(100 + 4 * index + at, role).frame;

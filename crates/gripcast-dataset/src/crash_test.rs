@@ -405,7 +405,7 @@ impl Operator {
                 self.acknowledged.insert(record);
             }
             Step::Label(outcome) => {
-                let record = writer.set_outcome(self.last.as_ref().unwrap(), outcome, at)?;
+                let record = writer.set_outcome(self.last.as_ref().unwrap(), outcome, at, None)?;
                 self.acknowledged.insert(record);
             }
             Step::Rename(object) => {
@@ -764,7 +764,7 @@ fn crash_during_migration_leaves_one_version_or_the_other() {
             let disk = FailingDisk::new(at, Some(fault));
             let labelled = open(&disk, &root).and_then(|(mut writer, _)| {
                 let time = "2026-11-20T11:00:00Z".parse().unwrap();
-                writer.set_outcome(&id, Outcome::Slip, time)
+                writer.set_outcome(&id, Outcome::Slip, time, None)
             });
             if let Fault::PowerLoss { all } = fault {
                 disk.lose_power(all);

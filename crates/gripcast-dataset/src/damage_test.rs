@@ -33,7 +33,9 @@ fn dataset() -> (tempfile::TempDir, Vec<GraspId>) {
             .save_grasp(&pending, &capture(2 * number + 2), meta)
             .unwrap();
         let at = "2026-11-20T11:00:00Z".parse().unwrap();
-        writer.set_outcome(&record.id, Outcome::Slip, at).unwrap();
+        writer
+            .set_outcome(&record.id, Outcome::Slip, at, None)
+            .unwrap();
         ids.push(record.id);
     }
     (dir, ids)
@@ -391,7 +393,9 @@ fn missing_items_are_errors_not_panics() {
     let missing = GraspId::parse("2020-01-01T00-00-00Z-0000").unwrap();
     let pending = writer.save_initial(&capture(20), Vec::new()).unwrap();
     for error in [
-        writer.set_outcome(&missing, Outcome::Slip, at).unwrap_err(),
+        writer
+            .set_outcome(&missing, Outcome::Slip, at, None)
+            .unwrap_err(),
         writer.undo_grasp(&missing).unwrap_err(),
         writer.trash_grasp(&missing).unwrap_err(),
         writer.redo_grasp(&missing, None).unwrap_err(),
@@ -406,7 +410,7 @@ fn missing_items_are_errors_not_panics() {
             .save_grasp(&pending, &capture(22), meta("mug"))
             .unwrap_err(),
         writer
-            .set_outcome(&ids[0], Outcome::Stable, at)
+            .set_outcome(&ids[0], Outcome::Stable, at, None)
             .unwrap_err(),
         writer.undo_grasp(&ids[0]).unwrap_err(),
         writer.trash_grasp(&ids[0]).unwrap_err(),

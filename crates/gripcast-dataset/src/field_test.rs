@@ -6,7 +6,8 @@ use std::path::PathBuf;
 
 use super::sample::{capture_with_fields, lift, meta, new_dataset};
 use super::{
-    Dataset, DatasetWriter, GraspId, GraspRecord, MARKERS, ProblemKind, Stage, recover, verify,
+    Dataset, DatasetWriter, GraspId, GraspRecord, LiftVerdict, MARKERS, Outcome, ProblemKind,
+    Stage, recover, verify,
 };
 use gripcast_base::error::ErrorKind;
 use gripcast_imaging::{PixelFormat, Role};
@@ -90,6 +91,30 @@ fn fields_and_lift_are_read_as_they_were_written() {
     assert_eq!(summary.fields[MARKERS], 1);
     let missing = dataset.lift_frames(&record, Role::Rgb).unwrap_err();
     assert_eq!(missing.kind(), ErrorKind::NotFound);
+    assert_eq!(stored.problems(), []);
+}
+
+#[test]
+fn verdict_in_the_lift_is_stored_with_the_label_and_stays() {
+    let (stored, mut writer) = Stored::new();
+    let verdict = LiftVerdict {
+        p_stable: 0.25,
+        threshold: 0.5,
+        frame_time_ns: 7,
+        alarm_time_ns: Some(6),
+    };
+    let labels = [
+        (Outcome::Slip, None, None),
+        (Outcome::Slip, Some(verdict), Some(verdict)),
+        (Outcome::Stable, None, Some(verdict)),
+    ];
+    for (outcome, given, expected) in labels {
+        let at = jiff::Timestamp::UNIX_EPOCH;
+        let record = writer.set_outcome(&stored.id, outcome, at, given).unwrap();
+        assert_eq!((record.outcome, record.lift_verdict), (outcome, expected));
+        assert_eq!(stored.record().1, record);
+    }
+    drop(writer);
     assert_eq!(stored.problems(), []);
 }
 

@@ -11,7 +11,7 @@ use super::digest::FileDigest;
 use super::field::FieldRecord;
 use super::layout::Stage;
 use super::lift::LiftRecord;
-use super::prediction::PredictionRecord;
+use super::prediction::{LiftVerdict, PredictionRecord};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ContentKey, FieldName, FileName, GraspId, Label, ObjectName};
 use gripcast_geometry::Pose;
@@ -115,6 +115,9 @@ pub struct GraspRecord {
     /// Frames of the gels after the grasp trigger, where they were kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lift: Option<LiftRecord>,
+    /// Verdict in the lift when the grasp was labelled; absent without a model that gives one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lift_verdict: Option<LiftVerdict>,
     /// Digest of each file of the grasp but the record, by file name.
     pub files: BTreeMap<FileName, FileDigest>,
     /// Free text.

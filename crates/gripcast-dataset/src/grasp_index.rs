@@ -316,7 +316,9 @@ mod tests {
         };
         assert_eq!(index.work(), opened);
         let at = "2026-11-20T11:00:00Z".parse().unwrap();
-        writer.set_outcome(&saved[0], Outcome::Slip, at).unwrap();
+        writer
+            .set_outcome(&saved[0], Outcome::Slip, at, None)
+            .unwrap();
         writer.trash_grasp(&saved[1]).unwrap();
         for _ in 0..100 {
             index.refresh().unwrap();

@@ -79,7 +79,7 @@ pub use lift::{LiftCamera, LiftFrame, LiftRecord};
 pub use migrate::{MigrateReport, migrate};
 pub use names::{EditReport, EditedGrasp, NameChange, Selection, edit};
 pub use opening::OpenReport;
-pub use prediction::{AdaptedPrediction, OpenOutcomes, PredictionRecord};
+pub use prediction::{AdaptedPrediction, LiftVerdict, OpenOutcomes, PredictionRecord};
 pub use problem::{Problem, ProblemKind, ProblemSummary, VerifyReport};
 pub use provenance::Provenance;
 pub use reader::Dataset;

@@ -43,6 +43,22 @@ pub struct PredictionRecord {
     pub engine_ms: f64,
 }
 
+/// Verdict in the lift: what the gels have shown since the grasp trigger.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LiftVerdict {
+    /// Probability that the grasp holds, from the prediction before the lift and the gels.
+    pub p_stable: f64,
+    /// Minimum probability of a stable grasp.
+    pub threshold: f64,
+    /// Driver time of the newest tactile frame, ns.
+    pub frame_time_ns: u64,
+    /// Driver time of the first tactile frame with the alarm that the contact is being lost, ns;
+    /// absent without an alarm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub alarm_time_ns: Option<u64>,
+}
+
 /// A prediction at the base rate of a rig's labels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]

@@ -110,6 +110,7 @@ pub(super) fn rebuild(
         overridden_guards: sources.field("overridden_guards").unwrap_or_default(),
         calibration: sources.field("calibration").unwrap_or_default(),
         lift: lift.filter(|lift| !lift.cameras.is_empty()),
+        lift_verdict: sources.field("lift_verdict").unwrap_or_default(),
         files,
         note: format!("record rebuilt from {from}"),
         truth: sources.field("truth").unwrap_or_default(),

@@ -169,7 +169,7 @@ mod tests {
                 .unwrap()
                 .id;
             let at = "2026-11-20T11:00:00Z".parse().unwrap();
-            writer.set_outcome(&id, outcome, at).unwrap();
+            writer.set_outcome(&id, outcome, at, None).unwrap();
         }
         drop(writer);
         let summary = summary(&Dataset::open(dir.path()).unwrap()).unwrap();

@@ -24,6 +24,7 @@ use super::layout::{
     GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, PRE_GRASP_PREFIX, Stage, id_at,
 };
 use super::lock::DatasetLock;
+use super::prediction::LiftVerdict;
 use super::reader::load_frame;
 use super::record_file::{
     PendingInitial, check_files, read_grasp, read_grasp_of, read_initial, to_json,
@@ -153,7 +154,8 @@ impl DatasetWriter {
         Ok(record)
     }
 
-    /// Sets or removes the label of a grasp.
+    /// Sets or removes the label of a grasp, with the verdict in the lift when it was given; without
+    /// one a stored verdict stays.
     ///
     /// # Errors
     /// `NotFound` without that grasp; `DiskFull`, `Io`, … with the label as before.
@@ -162,9 +164,11 @@ impl DatasetWriter {
         id: &GraspId,
         outcome: Outcome,
         time: Timestamp,
+        verdict: Option<LiftVerdict>,
     ) -> Result<GraspRecord> {
         self.change(id, &format!("cannot label {id}"), |record| {
             record.outcome = outcome;
+            record.lift_verdict = verdict.or(record.lift_verdict);
             record.labelled_at = (outcome != Outcome::Unlabelled).then(|| time.to_string());
             Ok(())
         })
@@ -577,6 +581,7 @@ fn grasp_record(
         overridden_guards,
         calibration: meta.calibration,
         lift: None,
+        lift_verdict: None,
         files,
         note: meta.note,
         truth: None,

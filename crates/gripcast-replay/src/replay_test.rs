@@ -132,7 +132,7 @@ fn dataset(path: &Path, grasps: &[(&str, Outcome, Option<PoseRecord>)]) -> Vec<G
         let grasp = writer.save_grasp(&initial, &capture(number + 1), meta(object));
         let id = grasp.unwrap().id;
         let at = capture(number + 1).captured_at;
-        writer.set_outcome(&id, *outcome, at).unwrap();
+        writer.set_outcome(&id, *outcome, at, None).unwrap();
         if let Some(pose) = pose {
             writer.set_pose(&id, pose.clone()).unwrap();
         }

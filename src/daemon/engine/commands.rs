@@ -11,6 +11,7 @@ use crate::daemon::report::{EndReason, GraspReport};
 use crate::daemon::store::{StoreJob, StoreMessage};
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
+use gripcast_dataset::{LiftVerdict, Outcome};
 use gripcast_session::{
     Command, CommandResult, CommandSource, Effect, LastGrasp, Request, Step, StoreReply,
     StoreRequest,
@@ -192,6 +193,7 @@ impl Engine {
             self.keep_lift(capture.trigger_time_ns)?;
         }
         let live = self.inference.state().live.clone();
+        let verdict = self.verdict_of(&request);
         if let Some(pending) = &mut self.pending {
             pending.request = Some(request.clone());
         }
@@ -200,7 +202,24 @@ impl Engine {
             capture,
             boards,
             latency_ms: live.map_or(0.0, |live| live.record.latency_ms),
+            verdict,
         }))
+    }
+
+    /// Verdict in the lift of the grasp that a request labels; none but for the last one.
+    fn verdict_of(&self, request: &StoreRequest) -> Option<LiftVerdict> {
+        let StoreRequest::SetOutcome { id, outcome } = request else {
+            return None;
+        };
+        let is_last = self.grasps.last().is_some_and(|grasp| grasp.id == **id);
+        let is_labelled = is_last && *outcome != Outcome::Unlabelled;
+        let lift = self.inference.state().lift.filter(|_| is_labelled)?;
+        Some(LiftVerdict {
+            p_stable: lift.p_stable,
+            threshold: lift.threshold,
+            frame_time_ns: lift.frame_time_ns,
+            alarm_time_ns: lift.alarm_time_ns,
+        })
     }
 
     /// Sends the result of a command to its requester.

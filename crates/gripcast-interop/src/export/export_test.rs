@@ -56,10 +56,16 @@ fn dataset() -> (tempfile::TempDir, Vec<GraspId>) {
         let at = "2026-11-20T11:00:00Z".parse().unwrap();
         match number {
             0 => {
-                writer.set_outcome(&record.id, Outcome::Stable, at).unwrap();
+                writer
+                    .set_outcome(&record.id, Outcome::Stable, at, None)
+                    .unwrap();
                 writer.set_pose(&record.id, pose()).unwrap();
             }
-            1 => drop(writer.set_outcome(&record.id, Outcome::Slip, at).unwrap()),
+            1 => drop(
+                writer
+                    .set_outcome(&record.id, Outcome::Slip, at, None)
+                    .unwrap(),
+            ),
             _ => {}
         }
         ids.push(record.id);
@@ -535,7 +541,7 @@ fn grasps_without_required_data_are_listed() {
         let pending = writer.save_initial(&stages[0], Vec::new()).unwrap();
         let saved = writer.save_grasp(&pending, &stages[1], meta(" Blue  MUG"));
         let id = saved.unwrap().id;
-        writer.set_outcome(&id, Outcome::Slip, at).unwrap();
+        writer.set_outcome(&id, Outcome::Slip, at, None).unwrap();
         id
     };
     let complete = save(0, &|_| {});

@@ -40,7 +40,9 @@ fn dataset(root: &Path) -> Dataset {
             .save_grasp(&pending, &take(2 * number + 2), meta("mug"))
             .unwrap();
         let at = "2026-11-20T11:00:00Z".parse().unwrap();
-        writer.set_outcome(&record.id, Outcome::Stable, at).unwrap();
+        writer
+            .set_outcome(&record.id, Outcome::Stable, at, None)
+            .unwrap();
         if number == 2 {
             writer.append_lift(&record.id, &lift(7), 2.0).unwrap();
         }

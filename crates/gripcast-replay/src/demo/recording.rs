@@ -422,7 +422,7 @@ fn set_label(
         Outcome::Slip
     };
     let at = captured_at + SignedDuration::from_secs(LIFTING_S);
-    writer.set_outcome(id, outcome, at).map(|_| ())
+    writer.set_outcome(id, outcome, at, None).map(|_| ())
 }
 
 #[cfg(test)]
