@@ -15,11 +15,12 @@ pub(super) struct TrainingFlags {
     #[arg(long, value_name = "NAME", default_value = "gripcast",
         value_parser = Architecture::NAMES)]
     arch: String,
-    /// Epochs in which the encoders of camera images first learn the extents of the object
-    #[arg(long, value_name = "N", default_value_t = 30)]
-    pretrain_epochs: u32,
-    /// Model whose encoders of camera images are used and not trained: a built-in name, an ONNX file
-    /// of `train`, or a run
+    /// Epochs in which the encoders of camera images first learn the extents of the object [default:
+    /// 30, or 0 with --cameras-from]
+    #[arg(long, value_name = "N")]
+    pretrain_epochs: Option<u32>,
+    /// Model whose encoders of camera images are used: a built-in name, an ONNX file of `train`, or a
+    /// run
     #[arg(long, value_name = "MODEL")]
     cameras_from: Option<String>,
     /// Number of training epochs
@@ -63,8 +64,9 @@ impl TrainingFlags {
     pub(super) fn settings(&self, modality: Modality, seed: u64) -> Result<TrainSettings> {
         let architecture = Architecture::by_name(&self.arch)
             .ok_or_else(|| Error::usage(format!("unknown network architecture `{}`", self.arch)))?;
+        let usual = if self.cameras_from.is_some() { 0 } else { 30 };
         let settings = TrainSettings {
-            pretrain_epochs: self.pretrain_epochs,
+            pretrain_epochs: self.pretrain_epochs.unwrap_or(usual),
             epochs: self.epochs,
             batch_size: self.batch_size,
             learning_rate: self.learning_rate,

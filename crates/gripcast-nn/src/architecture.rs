@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::conv::ConvShape;
+use super::extents::EXTENT_UNITS;
 pub use crate::predict::contract::GEOMETRY;
 use crate::predict::contract::{InputName, Modality};
 
@@ -24,7 +25,8 @@ pub struct ConvSpec {
 
 /// Architecture of a classifier: an encoder for tactile differences, one each for the colour image
 /// and the depth image, and two dense layers on their embeddings for each set of inputs that it
-/// predicts from.
+/// predicts from. With [`Architecture::geometry`] only those of touch alone are trained; the others
+/// are [sums](crate::ExtentHead) of its log-odds and of parts of the extents.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Architecture {
     /// Name on the command line and in files.
@@ -35,8 +37,8 @@ pub struct Architecture {
     pub pool: [usize; 2],
     /// Size of the embedding of a tactile difference.
     pub embedding: usize,
-    /// Size of the embedding of a colour or depth image. With [`Architecture::geometry`] its first
-    /// numbers are the geometry of the grasp.
+    /// Size of the embedding of a colour or depth image; with [`Architecture::geometry`] at least
+    /// [`GEOMETRY`], its first numbers.
     pub camera_embedding: usize,
     /// Whether the encoders of colour and depth image estimate the geometry of the grasp
     /// ([`GEOMETRY`] numbers).
@@ -78,7 +80,7 @@ impl Architecture {
             ],
             pool: [2, 2],
             embedding: 128,
-            camera_embedding: 16,
+            camera_embedding: GEOMETRY,
             geometry: true,
             fallbacks: true,
             hidden: 128,
@@ -109,6 +111,32 @@ impl Architecture {
             fallbacks: false,
             hidden: 256,
         }
+    }
+
+    /// The same for data without known extents: the encoders of camera images learn what the labels
+    /// need.
+    #[must_use]
+    pub fn without_geometry(self) -> Self {
+        Self {
+            camera_embedding: self.embedding,
+            geometry: false,
+            ..self
+        }
+    }
+
+    /// Whether a head is a sum of the touch head's log-odds and of parts of the extents.
+    fn reads_extents(&self, head: Modality) -> bool {
+        self.geometry && self.fallbacks && head.cameras().is_some()
+    }
+
+    /// Number of hidden units of a head.
+    pub(super) fn hidden_of(&self, head: Modality) -> usize {
+        if !self.reads_extents(head) {
+            return self.hidden;
+        }
+        let cameras = head.cameras().map_or(0, |cameras| cameras.inputs().len());
+        let touch = if head.has_touch() { self.hidden } else { 0 };
+        touch + cameras * EXTENT_UNITS
     }
 
     /// Sets of inputs that a classifier of `modality` predicts from, all of its inputs first.
@@ -268,6 +296,15 @@ pub(crate) struct HeadParams {
     pub(crate) hidden: [Param; 2],
     /// Weight and bias of the output layer.
     pub(crate) logit: [Param; 2],
+    /// Whether it is set from the extents, not trained.
+    pub(crate) reads_extents: bool,
+}
+
+impl HeadParams {
+    /// All parameter tensors in order.
+    pub(super) fn params(&self) -> impl Iterator<Item = &Param> {
+        self.hidden.iter().chain(&self.logit)
+    }
 }
 
 /// Layout of all parameters in one slice.
@@ -277,7 +314,6 @@ pub struct Layout {
     /// Those of all inputs first.
     pub(super) heads: Vec<HeadParams>,
     params: Vec<Param>,
-    first_of_heads: usize,
     running_stats_len: usize,
 }
 
@@ -336,11 +372,12 @@ impl Layout {
             .filter(|kind| kind.is_in(modality))
             .map(&mut encoder)
             .collect();
-        let hidden = architecture.hidden;
         let heads = architecture.heads(modality).into_iter().map(|head| {
             let name = head_name(head, modality);
+            let hidden = architecture.hidden_of(head);
             HeadParams {
                 modality: head,
+                reads_extents: architecture.reads_extents(head),
                 hidden: [
                     add(
                         format!("{name}.hidden.weight"),
@@ -355,11 +392,9 @@ impl Layout {
             }
         });
         let heads: Vec<HeadParams> = heads.collect();
-        let is_of_encoder = |param: &&Param| !param.name.starts_with("head");
         Self {
             encoders,
             heads,
-            first_of_heads: params.iter().take_while(is_of_encoder).count(),
             params,
             running_stats_len,
         }
@@ -368,11 +403,6 @@ impl Layout {
     /// All parameter tensors in order.
     pub fn params(&self) -> &[Param] {
         &self.params
-    }
-
-    /// Parameter tensors of the heads, the last ones.
-    pub fn head_params(&self) -> &[Param] {
-        &self.params[self.first_of_heads..]
     }
 
     /// Number of parameters.

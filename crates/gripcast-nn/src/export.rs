@@ -318,6 +318,19 @@ fn architecture_of(graph: &GraphProto, modality: Modality) -> Option<Architectur
     };
     let cameras = [EncoderKind::Vision, EncoderKind::Depth];
     let camera = cameras.into_iter().find(|kind| kind.is_in(modality));
+    let (geometry, fallbacks) = (
+        constant(graph, SELECT).is_some(),
+        graph.output.iter().any(|output| is_fallback(&output.name)),
+    );
+    // Heads of other inputs have hidden units for the extents.
+    let hidden = match geometry && fallbacks && modality.cameras().is_some() {
+        true if modality.has_touch() => outputs(
+            &format!("{}.hidden.weight", head_name(Modality::T, modality)),
+            1,
+        )?,
+        true => 0,
+        false => outputs("head.hidden.weight", 1)?,
+    };
     let is_usable = !convolutions.is_empty() && pool.iter().zip(&side).all(fits);
     is_usable.then_some(Architecture {
         name: String::new(),
@@ -325,9 +338,9 @@ fn architecture_of(graph: &GraphProto, modality: Modality) -> Option<Architectur
         pool,
         embedding: embedding(EncoderKind::Touch)?,
         camera_embedding: camera.map_or(Some(0), embedding)?,
-        geometry: constant(graph, SELECT).is_some(),
-        fallbacks: graph.output.iter().any(|output| is_fallback(&output.name)),
-        hidden: outputs("head.hidden.weight", 1)?,
+        geometry,
+        fallbacks,
+        hidden,
     })
 }
 

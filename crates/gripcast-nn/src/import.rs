@@ -77,8 +77,12 @@ fn network(graph: &RecognisedNetwork<'_>, contract: &ModelContract) -> Option<Ne
     let heads = architecture.heads(modality).into_iter().map(|head| {
         let (name, joined) = (head_name(head, modality), architecture.joined(head));
         Some([
-            graph.dense(&format!("{name}.hidden"), joined, architecture.hidden)?,
-            graph.dense(&format!("{name}.logit"), architecture.hidden, 1)?,
+            graph.dense(
+                &format!("{name}.hidden"),
+                joined,
+                architecture.hidden_of(head),
+            )?,
+            graph.dense(&format!("{name}.logit"), architecture.hidden_of(head), 1)?,
         ])
     });
     let heads = heads.collect::<Option<Vec<_>>>()?;

@@ -36,6 +36,17 @@ pub struct Step {
     pub scope: Scope,
 }
 
+impl Step {
+    /// Dropout factors of a hidden layer; none for one that reads the extents, whose units stand
+    /// for a quantity each.
+    fn dropout_of(&self, hidden: &[f32]) -> &[f32] {
+        match self.dropout.len() == hidden.len() {
+            true => &self.dropout,
+            false => &[],
+        }
+    }
+}
+
 /// What training changes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Scope {
@@ -57,9 +68,19 @@ impl Scope {
     pub fn params(self, layout: &Layout) -> impl Iterator<Item = &Param> {
         let encoders = layout.encoders.iter();
         let encoders = encoders.filter(move |encoder| self.trains(encoder.kind));
-        let heads = layout.head_params().iter();
-        let heads = heads.filter(move |_| self != Self::Geometry);
+        let heads = layout.heads.iter();
+        let heads = heads.filter(move |head| self.trains_head(head));
+        let heads = heads.flat_map(HeadParams::params);
         encoders.flat_map(EncoderParams::params).chain(heads)
+    }
+
+    /// Whether it changes a head.
+    fn trains_head(self, head: &HeadParams) -> bool {
+        match self {
+            Self::Geometry => false,
+            Self::All | Self::FixedCameras => !head.reads_extents,
+            Self::FixedStats | Self::Head => true,
+        }
     }
 
     /// Whether it changes an encoder.
@@ -281,9 +302,10 @@ impl Network {
             .map(|pass| vec![0.0; pass.embedding.len()])
             .collect();
         let mut loss = 0.0;
-        let heads = self.layout.heads.iter().enumerate();
-        for (index, params) in heads.filter(|_| step.scope != Scope::Geometry) {
-            let scale = head_weight(index, self.layout.heads.len());
+        let heads = self.layout.heads.iter();
+        let heads: Vec<&HeadParams> = heads.filter(|head| step.scope.trains_head(head)).collect();
+        for (index, params) in heads.iter().enumerate() {
+            let scale = head_weight(index, heads.len());
             let head = self.head_forward(params, passes, Some(step));
             let weights = batch.weights_of(params.modality);
             let samples = head.logits.iter().zip(&batch.targets).zip(&weights);
@@ -553,10 +575,9 @@ impl Network {
         let [last, last_bias] = &head.logit;
         let joined = self.join(head.modality, passes);
         let mut hidden = linear(&joined, self.values(weight), self.values(bias), true);
-        if let Some(step) = step {
-            for (hidden, factor) in hidden.iter_mut().zip(&step.dropout) {
-                *hidden *= factor;
-            }
+        let factors = step.map_or(&[][..], |step| step.dropout_of(&hidden));
+        for (hidden, factor) in hidden.iter_mut().zip(factors) {
+            *hidden *= factor;
         }
         let logits = linear(&hidden, self.values(last), self.values(last_bias), false);
         HeadPass {
@@ -637,7 +658,7 @@ impl Network {
                 *d = 0.0;
             }
         }
-        for (d, factor) in dhidden.iter_mut().zip(&step.dropout) {
+        for (d, factor) in dhidden.iter_mut().zip(step.dropout_of(&head.hidden)) {
             *d *= factor;
         }
         backward_linear(&head.joined, &dhidden, self, weight, bias, gradient)
@@ -760,4 +781,4 @@ fn backward_linear(
 
 #[cfg(test)]
 #[path = "network_test.rs"]
-mod tests;
+pub(crate) mod tests;

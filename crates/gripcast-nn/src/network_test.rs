@@ -3,7 +3,7 @@ use crate::architecture::ConvSpec;
 use crate::predict::contract::InputName;
 
 /// Seeded uniform numbers.
-fn uniform(seed: u64) -> impl FnMut() -> f64 {
+pub(crate) fn uniform(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed;
     move || {
         state = state
@@ -13,7 +13,7 @@ fn uniform(seed: u64) -> impl FnMut() -> f64 {
     }
 }
 
-fn tiny() -> Architecture {
+pub(crate) fn tiny() -> Architecture {
     let conv = |channels, kernel, stride, pad| ConvSpec {
         channels,
         kernel,
@@ -32,7 +32,7 @@ fn tiny() -> Architecture {
     }
 }
 
-fn batch(modality: Modality, count: usize, draw: &mut impl FnMut() -> f64) -> Batch {
+pub(crate) fn batch(modality: Modality, count: usize, draw: &mut impl FnMut() -> f64) -> Batch {
     let image: usize = IMAGE.iter().product();
     let mut images = |n: usize| (0..n * image).map(|_| (draw() - 0.5) as f32).collect();
     Batch {
@@ -113,7 +113,7 @@ fn narrower_scopes_leave_statistics_and_encoders() {
         let mut gradient = vec![0.0; network.parameters.len()];
         network.train_step(&batch, &step, &mut gradient);
         assert!(network.running_stats == before, "{scope:?}");
-        let head = network.layout().head_params()[0].first;
+        let head = network.layout().heads[0].hidden[0].first;
         let is_encoder_fixed = gradient[..head].iter().all(|slope| *slope == 0.0);
         assert_eq!(is_encoder_fixed, scope == Scope::Head);
         assert!(gradient[head..].iter().any(|slope| *slope != 0.0));

@@ -12,6 +12,7 @@ mod conformal;
 mod duplicates;
 mod evaluate;
 mod experiment;
+mod extents;
 mod finish;
 mod lift;
 pub mod metrics;

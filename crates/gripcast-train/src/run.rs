@@ -9,6 +9,7 @@ use std::time::Instant;
 use super::augment::{Augmentation, InputWriter};
 use super::batches::{Batches, colour_normalisation};
 use super::duplicates::duplicates;
+use super::extents::fit_extent_heads;
 use super::run_folder::{EpochMetrics, RunFile, RunFolder, VERSION, foreign_checkpoint, untrained};
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
@@ -182,9 +183,14 @@ fn run(
             settings.batch_size
         ));
     }
-    let settings = &TrainSettings {
+    let is_known = train.facts().iter().any(|facts| facts.geometry.is_some());
+    let settings = TrainSettings {
         batch_size: settings.batch_size.min(count),
         ..settings.clone()
+    };
+    let settings = &match settings.fine_tuning {
+        Some(_) => settings,
+        None => settings.for_geometry(is_known),
     };
     fs::create_dir_all(out)
         .map_err(|e| Error::io("cannot create the folder of the run", e).at(out.display()))?;
@@ -560,6 +566,7 @@ impl<'a> Training<'a> {
         }
         let seconds = start.elapsed().as_secs_f64();
         let done = (steps - first) * batch_size as u64;
+        self.fit_extent_heads()?;
         let (scores, geometry_error_m) = self.validate(on_progress)?;
         Ok(EpochMetrics {
             epoch: epoch + 1,
@@ -601,6 +608,18 @@ impl<'a> Training<'a> {
             epoch + 1
         ))
         .remedy("start a new run with a lower `--learning-rate`"))
+    }
+
+    /// Fits the heads that read the extents on the training split, unless another phase sets them.
+    fn fit_extent_heads(&mut self) -> Result<()> {
+        let scope = self.settings.phase(self.position.epoch).scope;
+        if scope != Scope::FixedCameras || self.network.extent_heads().is_empty() {
+            return Ok(());
+        }
+        let (settings, normalisation) = (self.settings, self.normalisation);
+        let found = logits(&self.network, self.train, settings, normalisation, &|_| {})?;
+        fit_extent_heads(&mut self.network, self.train, &found);
+        Ok(())
     }
 
     /// Evaluates the network on the validation split.

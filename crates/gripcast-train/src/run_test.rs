@@ -23,7 +23,7 @@ pub(crate) fn settings(modality: Modality) -> TrainSettings {
         convolutions: vec![conv(16, 8, 8, 0), conv(16, 3, 2, 1)],
         pool: [3, 4],
         embedding: 16,
-        camera_embedding: 16,
+        camera_embedding: 10,
         geometry: true,
         fallbacks: true,
         hidden: 16,
@@ -62,9 +62,16 @@ fn exported_model_matches_network() {
         };
         let out = out.join(modality.name());
         let trained = train(&data, &out, &settings, None, &|_| {}).unwrap();
-        assert_eq!(trained.epochs, if modality == Modality::T { 6 } else { 7 });
+        // One epoch of the extents; without touch one to fit the heads that read them.
+        let epochs = [(Modality::Vtd, 7), (Modality::T, 6), (Modality::V, 2)];
+        let expected = epochs
+            .into_iter()
+            .find(|(of, _)| *of == modality)
+            .unwrap()
+            .1;
+        assert_eq!(trained.epochs, expected);
         if modality != Modality::V {
-            assert!(trained.best.validation_accuracy > 0.9, "{trained:?}");
+            assert!(trained.best.validation_auroc.unwrap() > 0.9, "{trained:?}");
         }
         let run = RunFolder::at(&out);
         let file = run.read().unwrap().unwrap();
@@ -412,7 +419,10 @@ fn cameras_of_a_model_are_kept() {
         StartModel::by_name(&out.display().to_string()).unwrap()
     };
     let [cameras, touch] = [Modality::Vd, Modality::T].map(source);
-    let all = settings(Modality::Vtd);
+    let all = TrainSettings {
+        pretrain_epochs: 0,
+        ..settings(Modality::Vtd)
+    };
     let [whole, broken, refused] = ["whole", "broken", "refused"].map(|n| folder.path().join(n));
     let trained = train(&data, &whole, &all, Some(&cameras), &|_| {}).unwrap();
     // None of them learns the geometry.

@@ -39,7 +39,7 @@ pub struct TrainSettings {
     pub augmentation: Augmentation,
     /// Size of the shuffle buffer, bytes of encoded images.
     pub shuffle_buffer: usize,
-    /// Model with the encoders of camera images, which stay as they are; none to train them.
+    /// Model with the encoders of camera images; none for random parameters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cameras: Option<SourceModel>,
     /// Fine-tuning of a trained model; none for training from random parameters.
@@ -154,17 +154,42 @@ impl TrainSettings {
 
     /// Number of epochs that learn the geometry.
     fn geometry_epochs(&self) -> u32 {
-        let is_learned = self.cameras.is_none() && self.fine_tuning.is_none();
         match self.geometry_inputs() {
-            Some(_) if is_learned => self.pretrain_epochs,
+            Some(_) if self.fine_tuning.is_none() => self.pretrain_epochs,
             _ => 0,
+        }
+    }
+
+    /// Number of epochs that learn from the labels: without touch one, as the heads that read the
+    /// extents are fitted in each.
+    fn label_epochs(&self) -> u32 {
+        let is_trained = self.modality.has_touch() || self.fine_tuning.is_some();
+        match self.geometry_inputs() {
+            Some(_) if !is_trained => 1,
+            _ => self.epochs,
+        }
+    }
+
+    /// The settings for a training split with or without known extents: without them, or epochs
+    /// that learn them, the network has no geometry unless its cameras are those of a model.
+    pub(super) fn for_geometry(self, is_known: bool) -> Self {
+        let pretrain_epochs = if is_known { self.pretrain_epochs } else { 0 };
+        let is_learned = pretrain_epochs > 0 || self.cameras.is_some();
+        let architecture = match self.architecture.geometry && !is_learned {
+            true => self.architecture.without_geometry(),
+            false => self.architecture,
+        };
+        Self {
+            pretrain_epochs,
+            architecture,
+            ..self
         }
     }
 
     /// Number of epochs of all phases.
     pub fn total_epochs(&self) -> u32 {
         let unfrozen = self.fine_tuning.as_ref().map_or(0, |f| f.unfreeze_epochs);
-        let trained = self.geometry_epochs().saturating_add(self.epochs);
+        let trained = self.geometry_epochs().saturating_add(self.label_epochs());
         trained.saturating_add(unfrozen)
     }
 
@@ -172,12 +197,12 @@ impl TrainSettings {
     pub(super) fn phase(&self, epoch: u32) -> Phase {
         let pretrain = self.geometry_epochs();
         let first = Phase {
-            scope: match &self.cameras {
+            scope: match self.geometry_inputs() {
                 Some(_) => Scope::FixedCameras,
                 None => Scope::All,
             },
             first: pretrain,
-            epochs: self.epochs,
+            epochs: self.label_epochs(),
             learning_rate: self.learning_rate,
         };
         match &self.fine_tuning {

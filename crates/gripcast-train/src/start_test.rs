@@ -112,7 +112,11 @@ fn head_alone_is_tuned_and_the_rest_comes_from_the_start_model() {
     assert_eq!(file.settings.architecture.name, "tiny");
     assert_eq!(file.normalisation(), start.normalisation());
     let (network, _) = run.best_network(&file.settings).unwrap();
-    let head = network.layout().head_params()[0].first;
+    let mut params = network.layout().params().iter();
+    let head = params
+        .find(|param| param.name.starts_with("head"))
+        .unwrap()
+        .first;
     let [before, after] = [start.network(), &network].map(|n| n.parameters.split_at(head));
     assert!(before.0 == after.0, "the encoders changed");
     assert!(before.1 != after.1);

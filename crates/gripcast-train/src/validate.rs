@@ -6,8 +6,10 @@ use super::metrics::{Scored, auroc, log_loss, probability_of_logit};
 use super::samples::Samples;
 use super::settings::TrainSettings;
 use gripcast_base::error::Result;
-use gripcast_nn::Network;
-use gripcast_nn::predict::contract::{GEOMETRY_UNIT_M, Modality, RgbNormalisation};
+use gripcast_nn::predict::contract::{
+    GEOMETRY, GEOMETRY_UNIT_M, InputName, Modality, RgbNormalisation,
+};
+use gripcast_nn::{Network, extent_units};
 
 /// Cached bytes of images; samples are read in order.
 const MEMORY: usize = 1 << 25;
@@ -41,6 +43,9 @@ pub struct SplitLogits {
     logits: Vec<Vec<Logit>>,
     /// Inputs that each sample has.
     available: Vec<Modality>,
+    /// Extents as the encoders estimate them, [`GEOMETRY`] numbers in units of 0.03 m per sample, by
+    /// input.
+    extents: Vec<(InputName, Vec<f32>)>,
     /// Mean absolute error of the geometry, m; none where it is unknown.
     pub geometry_error_m: Option<f64>,
 }
@@ -59,6 +64,28 @@ impl SplitLogits {
         let index = self.heads.iter().position(|head| *head == inputs);
         let logits = index.filter(|_| is_complete).map(|at| &self.logits[at][..]);
         logits.unwrap_or_default()
+    }
+
+    /// Logits of all samples from some inputs, also where a sample lacks one; empty if the network
+    /// does not predict from them.
+    pub(super) fn all_of(&self, inputs: Modality) -> &[Logit] {
+        let index = self.heads.iter().position(|head| *head == inputs);
+        index.map_or(&[], |at| &self.logits[at])
+    }
+
+    /// Index and [extent units](extent_units) of the camera images, in the order of the inputs, of
+    /// each sample that has these inputs; none if the network does not estimate extents from them.
+    pub(super) fn units_of(&self, inputs: Modality) -> Option<Vec<(usize, Vec<f64>)>> {
+        let cameras = inputs.cameras()?.inputs().into_iter();
+        let extents = cameras.map(|camera| self.extents.iter().find(|(of, _)| *of == camera));
+        let extents: Vec<_> = extents.collect::<Option<_>>()?;
+        let samples = self.available.iter().enumerate();
+        let samples = samples.filter(|(_, available)| available.includes(inputs));
+        let units = |sample: usize| {
+            let of = extents.iter().map(|(_, all)| &all[sample * GEOMETRY..]);
+            of.flat_map(extent_units).collect()
+        };
+        Some(samples.map(|(sample, _)| (sample, units(sample))).collect())
     }
 
     /// Logits of all samples from the [complete](Self::complete) inputs.
@@ -84,6 +111,7 @@ pub fn logits(
     let heads: Vec<Modality> = network.heads().collect();
     let mut logits = vec![Vec::with_capacity(all.len()); heads.len()];
     let mut available = Vec::with_capacity(all.len());
+    let mut extents: Vec<(InputName, Vec<f32>)> = Vec::new();
     let (mut error, mut known) = (0.0, 0_usize);
     for indices in all.chunks(BATCH_SIZE) {
         let batch = batches.batch(indices, None)?;
@@ -101,6 +129,12 @@ pub fn logits(
                 known += 1;
             }
         }
+        for (input, found) in outputs.geometry {
+            match extents.iter_mut().find(|(of, _)| *of == input) {
+                Some((_, all)) => all.extend(found),
+                None => extents.push((input, found)),
+            }
+        }
         available.extend(batch.available);
         on_progress(available.len());
     }
@@ -108,6 +142,7 @@ pub fn logits(
         heads,
         logits,
         available,
+        extents,
         geometry_error_m: (known > 0).then(|| error / known as f64),
     })
 }

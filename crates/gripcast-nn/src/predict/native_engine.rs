@@ -90,7 +90,7 @@ impl NativeEngine {
         let encoders = kinds.map(&mut encoder).collect::<Option<_>>()?;
         let heads = architecture.heads(modality).into_iter().map(|head| {
             let (name, joined) = (head_name(head, modality), architecture.joined(head));
-            let sizes = [joined, architecture.hidden];
+            let sizes = [joined, architecture.hidden_of(head)];
             let [hidden, hidden_bias] =
                 graph.dense(&format!("{name}.hidden"), sizes[0], sizes[1])?;
             let [logit, logit_bias] = graph.dense(&format!("{name}.logit"), sizes[1], 1)?;
@@ -99,7 +99,7 @@ impl NativeEngine {
             is_bounded.then(|| Head {
                 modality: head,
                 hidden: Dense::new(joined, &hidden, hidden_bias, true),
-                logit: Dense::new(architecture.hidden, &logit, logit_bias, false),
+                logit: Dense::new(sizes[1], &logit, logit_bias, false),
             })
         });
         let heads = heads.collect::<Option<_>>()?;
