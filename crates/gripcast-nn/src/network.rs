@@ -59,8 +59,8 @@ pub enum Scope {
     Head,
     /// The encoders of camera images, for the geometry alone.
     Geometry,
-    /// All but the encoders of camera images, which stay as they are.
-    FixedCameras,
+    /// The encoder of tactile differences and the head that reads it alone.
+    Touch,
 }
 
 impl Scope {
@@ -78,7 +78,8 @@ impl Scope {
     fn trains_head(self, head: &HeadParams) -> bool {
         match self {
             Self::Geometry => false,
-            Self::All | Self::FixedCameras => !head.reads_extents,
+            Self::All => !head.reads_extents,
+            Self::Touch => head.modality == Modality::T,
             Self::FixedStats | Self::Head => true,
         }
     }
@@ -89,7 +90,7 @@ impl Scope {
             Self::All | Self::FixedStats => true,
             Self::Head => false,
             Self::Geometry => kind != EncoderKind::Touch,
-            Self::FixedCameras => kind == EncoderKind::Touch,
+            Self::Touch => kind == EncoderKind::Touch,
         }
     }
 
@@ -100,7 +101,10 @@ impl Scope {
 
     /// Whether it runs an encoder.
     fn uses(self, kind: EncoderKind) -> bool {
-        self != Self::Geometry || kind != EncoderKind::Touch
+        match self {
+            Self::All | Self::FixedStats | Self::Head => true,
+            Self::Geometry | Self::Touch => self.trains(kind),
+        }
     }
 }
 

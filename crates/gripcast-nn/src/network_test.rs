@@ -75,7 +75,7 @@ fn gradients_match_finite_differences() {
         Scope::FixedStats,
         Scope::Head,
         Scope::Geometry,
-        Scope::FixedCameras,
+        Scope::Touch,
     ] {
         let (network, batch, step) = case(scope);
         let mut gradient = vec![0.0; network.parameters.len()];

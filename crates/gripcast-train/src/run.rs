@@ -514,6 +514,7 @@ impl<'a> Training<'a> {
                     ..settings.augmentation
                 },
             ),
+            (Scope::Touch, _) => (Modality::T, settings.augmentation()),
             _ => (settings.modality, settings.augmentation()),
         };
         let writer = InputWriter::new(augmentation, self.normalisation);
@@ -525,8 +526,12 @@ impl<'a> Training<'a> {
             let seeds: Vec<u64> = samples.iter().map(seed).collect();
             batches.batch(samples, Some(&seeds))
         };
-        let steps = self.steps_per_epoch();
-        let total = steps * u64::from(settings.total_epochs());
+        // Without touch only the heads that read the extents are left.
+        let steps = match phase.scope == Scope::Touch && !settings.modality.has_touch() {
+            true => 0,
+            false => self.steps_per_epoch(),
+        };
+        let total = self.steps_per_epoch() * u64::from(settings.total_epochs());
         let of_phase = steps * u64::from(phase.epochs);
         let start = Instant::now();
         let first = self.position.step;
@@ -613,7 +618,7 @@ impl<'a> Training<'a> {
     /// Fits the heads that read the extents on the training split, unless another phase sets them.
     fn fit_extent_heads(&mut self) -> Result<()> {
         let scope = self.settings.phase(self.position.epoch).scope;
-        if scope != Scope::FixedCameras || self.network.extent_heads().is_empty() {
+        if scope != Scope::Touch || self.network.extent_heads().is_empty() {
             return Ok(());
         }
         let (settings, normalisation) = (self.settings, self.normalisation);

@@ -198,7 +198,7 @@ impl TrainSettings {
         let pretrain = self.geometry_epochs();
         let first = Phase {
             scope: match self.geometry_inputs() {
-                Some(_) => Scope::FixedCameras,
+                Some(_) => Scope::Touch,
                 None => Scope::All,
             },
             first: pretrain,
