@@ -215,12 +215,12 @@ fn sequence_goes_from_the_initial_trigger_to_lift_or_label() {
     assert_eq!(rows.len(), lengths[0] + lengths[1]);
     let episodes = integers(&rows, "episode_index");
     assert_eq!(episodes.iter().filter(|e| **e == 0).count(), lengths[0]);
-    let stages = integers(&rows, "stage");
-    let parts = |n: [usize; 3]| (0..3).flat_map(move |part| vec![part as i64; n[part]]);
+    let phases = integers(&rows, "phase");
+    let spans = |n: [usize; 3]| (0..3).flat_map(move |phase| vec![phase as i64; n[phase]]);
     assert_eq!(
-        stages,
-        parts([15, 1, 30])
-            .chain(parts([15, 1, 60]))
+        phases,
+        spans([15, 1, 30])
+            .chain(spans([15, 1, 60]))
             .collect::<Vec<_>>()
     );
     let done = integers(&rows, "next.done");
@@ -342,7 +342,7 @@ fn action_is_the_measured_opening_at_the_grasp() {
     assert_eq!(names, &json!(["gripper_opening_m"]));
     let rows = rows(&dir.path().join("out"));
     for (row, episode) in rows.iter().zip(integers(&rows, "episode_index")) {
-        let is_measured = episode == 1 && integers(std::slice::from_ref(row), "stage")[0] == 1;
+        let is_measured = episode == 1 && integers(std::slice::from_ref(row), "phase")[0] == 1;
         let action = floats(field(row, "action"))[0];
         match is_measured {
             true => assert_eq!(action, 0.03125),
@@ -368,7 +368,7 @@ fn grasps_that_are_not_completely_in_the_log_are_named() {
     let (dir, ids) = dataset();
     let first = log(0, END);
     write(dir.path(), &first);
-    let reason = left_out(dir.path(), "a", &ids[1]);
+    let reason = left_out(dir.path(), "out-a", &ids[1]);
     assert_eq!(reason, "the black box has none of its grasp frames");
 
     // The log ends 0.8 s after the grasp of the bottle.
@@ -376,7 +376,7 @@ fn grasps_that_are_not_completely_in_the_log_are_named() {
         dir.path(),
         &[first.clone(), log(SECOND, SECOND + 50)].concat(),
     );
-    let reason = left_out(dir.path(), "b", &ids[1]);
+    let reason = left_out(dir.path(), "out-b", &ids[1]);
     assert!(
         reason.contains("no frame of rgb in the 500 ms up to 1.25 s after"),
         "{reason}"
@@ -387,14 +387,14 @@ fn grasps_that_are_not_completely_in_the_log_are_named() {
         dir.path(),
         &[first.clone(), log(SECOND + 28, SECOND + 120)].concat(),
     );
-    let reason = left_out(dir.path(), "c", &ids[1]);
+    let reason = left_out(dir.path(), "out-c", &ids[1]);
     assert!(reason.contains("s before the grasp"), "{reason}");
 
     // No frame of the right gel.
     let mut second = log(SECOND, SECOND + 120);
     second.retain(|entry| !matches!(entry, SampleEntry::Frame(Role::Right, _)));
     write(dir.path(), &[first.clone(), second].concat());
-    let reason = left_out(dir.path(), "d", &ids[1]);
+    let reason = left_out(dir.path(), "out-d", &ids[1]);
     assert!(
         reason.contains("lacks its grasp frame of right"),
         "{reason}"
@@ -410,7 +410,7 @@ fn grasps_that_are_not_completely_in_the_log_are_named() {
         }
     }
     write(dir.path(), &[first, second].concat());
-    let reason = left_out(dir.path(), "e", &ids[1]);
+    let reason = left_out(dir.path(), "out-e", &ids[1]);
     assert!(reason.contains("differs from the stored image"), "{reason}");
     assert!(reason.contains("grasp frame of left"), "{reason}");
 }

@@ -21,8 +21,8 @@ pub(super) const P_STABLE: &str = "prediction.p_stable";
 const FORCE: &str = "observation.force";
 /// Name of the feature with the gripper's opening.
 pub(super) const ACTION: &str = "action";
-/// Name of the feature with the part of a sequence.
-const STAGE: &str = "stage";
+/// Name of the feature with the phase of a frame.
+const PHASE: &str = "phase";
 /// Features of every frame, after the others: name, type, and LeRobot's name of the type.
 pub(super) const ALWAYS: [(&str, ColumnType, &str); 8] = [
     ("next.reward", ColumnType::Float32, "float32"),
@@ -51,7 +51,7 @@ pub(super) struct Features {
     pub(super) sequence: Option<SequenceFeatures>,
 }
 
-/// Features that only sequences have: the driver time of each camera's frame, and the part.
+/// Features that only sequences have: the driver time of each camera's frame, and the phase.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SequenceFeatures {
     /// Whether the gripper's opening is known for any grasp.
@@ -183,7 +183,7 @@ impl Features {
             features.push((ACTION.to_owned(), ColumnType::Float32, "float32", names));
         }
         let times = self.roles().into_iter().map(time_name);
-        let integers = times.chain([STAGE.to_owned()]);
+        let integers = times.chain([PHASE.to_owned()]);
         features.extend(integers.map(|name| (name, ColumnType::Int64, "int64", Value::Null)));
         features
     }

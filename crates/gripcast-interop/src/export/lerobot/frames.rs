@@ -9,7 +9,7 @@ use super::super::source::{Grasp, Image};
 use super::PAIR;
 use super::features::Features;
 use super::sequences::{Moment, Sequence};
-use super::ticks::Part;
+use super::ticks::Phase;
 use super::tiff;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::npy::Array;
@@ -255,7 +255,7 @@ impl Frames {
             colour,
             depth,
         };
-        let is_grasp = moment.tick.part == Part::Grasp;
+        let is_grasp = moment.tick.phase == Phase::Grasp;
         let mut cells = Vec::new();
         if self.features.sequence.is_some_and(|s| s.has_action) {
             let opening = opening_m(record).filter(|_| is_grasp);
@@ -265,7 +265,7 @@ impl Frames {
         let times = times.map(|time| i64::try_from(*time).unwrap_or(i64::MAX));
         cells.extend(
             times
-                .chain([moment.tick.part.number()])
+                .chain([moment.tick.phase.number()])
                 .map(TableCell::Integer),
         );
         self.push_grasp(&mut cells, record, is_grasp);

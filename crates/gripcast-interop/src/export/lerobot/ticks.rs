@@ -26,9 +26,9 @@ pub(super) struct Window {
     pub(super) end_ns: u64,
 }
 
-/// Part of a sequence.
+/// Phase of a frame in a sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Part {
+pub(super) enum Phase {
     /// Before the grasp trigger.
     Approach,
     /// The stored frames of the grasp.
@@ -37,8 +37,8 @@ pub(super) enum Part {
     Lift,
 }
 
-impl Part {
-    /// Value of the feature `stage`.
+impl Phase {
+    /// Value of the feature `phase`.
     pub(super) fn number(self) -> i64 {
         match self {
             Self::Approach => 0,
@@ -51,7 +51,7 @@ impl Part {
 /// One frame of a sequence.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Tick {
-    pub(super) part: Part,
+    pub(super) phase: Phase,
     /// Driver times of the cameras' frames, in the order of the cameras, ns.
     pub(super) frames_ns: Vec<u64>,
 }
@@ -92,18 +92,18 @@ pub(super) fn ticks(window: &Window, fps: u32, cameras: &[CameraTimes]) -> Resul
     let mut ticks = Vec::new();
     for step in -before..=after {
         let time_ns = u64::try_from(grasp_ns + step * SECOND_NS / fps).unwrap_or(0);
-        let part = match step {
-            ..0 => Part::Approach,
-            0 => Part::Grasp,
-            1.. => Part::Lift,
+        let phase = match step {
+            ..0 => Phase::Approach,
+            0 => Phase::Grasp,
+            1.. => Phase::Lift,
         };
-        let frames = cameras.iter().map(|camera| match part {
-            Part::Grasp => Ok(camera.grasp_ns),
-            Part::Approach => camera.newest(time_ns.min(camera.grasp_ns), time_ns, window),
-            Part::Lift => camera.newest(time_ns, time_ns, window),
+        let frames = cameras.iter().map(|camera| match phase {
+            Phase::Grasp => Ok(camera.grasp_ns),
+            Phase::Approach => camera.newest(time_ns.min(camera.grasp_ns), time_ns, window),
+            Phase::Lift => camera.newest(time_ns, time_ns, window),
         });
         ticks.push(Tick {
-            part,
+            phase,
             frames_ns: frames.collect::<Result<_>>()?,
         });
     }
@@ -168,7 +168,7 @@ mod tests {
         let ticks = ticks(&window(960, 1040, 1125), 25, &cameras).unwrap();
         assert_eq!(chosen_ms(&ticks, 0), [960, 1000, 1040, 1080, 1120]);
         assert_eq!(chosen_ms(&ticks, 1), [950, 950, 1035, 1035, 1110]);
-        let parts: Vec<i64> = ticks.iter().map(|tick| tick.part.number()).collect();
+        let parts: Vec<i64> = ticks.iter().map(|tick| tick.phase.number()).collect();
         assert_eq!(parts, [0, 0, 1, 2, 2]);
     }
 
@@ -185,7 +185,7 @@ mod tests {
             chosen_ms(&ticks, 1),
             [1000, 1020, 1030, 1030, 1030, 1030, 1120, 1140, 1160]
         );
-        assert_eq!(ticks[5].part, Part::Grasp);
+        assert_eq!(ticks[5].phase, Phase::Grasp);
     }
 
     #[test]
