@@ -104,7 +104,17 @@ def load():
         return read("data"), read("meta/episodes")
     print(f"lerobot {lerobot.__version__}")
     frames = LeRobotDataset("gripcast/sequences", root=args.export)
+    check_history(LeRobotDataset, frames)
     return frames, frames.meta.episodes
+
+
+def check_history(dataset, frames):
+    """Policies load several frames at once, by their time stamps."""
+    name = next(name for name in info["features"] if name.startswith("observation.images."))
+    deltas = {name: [-1 / info["fps"], 0.0]}
+    history = dataset("gripcast/sequences", root=args.export, delta_timestamps=deltas)[1][name]
+    for at in (0, 1):
+        expect((history[at] == frames[at][name]).all(), f"{name}: history of frame 1 at {at}")
 
 
 def array(found, is_depth):

@@ -129,7 +129,7 @@ impl Features {
         if is_sequence {
             fields.retain(|field| {
                 let (role, name) = &field.key;
-                let is_logged = *name == MARKERS;
+                let is_logged = *name == MARKERS && colour.iter().any(|(of, _)| of == role);
                 if !is_logged {
                     notes.push(format!(
                         "field {name} of {role} left out: no sequence has it"

@@ -152,9 +152,6 @@ impl<'a> Sequences<'a> {
         self.log.read(&chunks, |message| {
             checked.add(message, &wanted, grasp, &cameras, features, decoder)
         })?;
-        for (role, _) in checked.damage.keys() {
-            *self.damaged.entry(*role).or_default() += 1;
-        }
         let mut times = Vec::new();
         for (role, grasp_ns) in &cameras {
             if let Some(damage) = checked.damage.remove(&(*role, *grasp_ns)) {
@@ -167,19 +164,21 @@ impl<'a> Sequences<'a> {
                 grasp_ns: *grasp_ns,
             });
         }
-        let fps = match self.fps {
-            Some(fps) => fps,
+        let (fps, slowest) = match self.fps {
+            Some(fps) => (fps, None),
             None => {
                 let (fps, role) = slowest_rate(&times)?;
-                self.notes.push(format!(
-                    "{fps} frames per second, as {role} of {}",
-                    record.id
-                ));
-                fps
+                (fps, Some(role))
             }
         };
         let ticks = ticks(&window, fps, &times)?;
         self.fps = Some(fps);
+        let id = &record.id;
+        let rate = slowest.map(|role| format!("{fps} frames per second, as {role} of {id}"));
+        self.notes.extend(rate);
+        for (role, _) in checked.damage.keys() {
+            *self.damaged.entry(*role).or_default() += 1;
+        }
         let roles: Vec<Role> = cameras.into_iter().map(|(role, _)| role).collect();
         let chosen = |tick: &Tick| -> Vec<(Role, u64)> {
             roles
