@@ -244,8 +244,7 @@ impl BlackBoxLog {
             Err(McapError::Io(error)) => return Err(Error::io("cannot read the black box", error)),
             Err(McapError::UnsupportedCompression(compression)) => {
                 let what = format!("the chunks are compressed with {compression}");
-                return Err(Error::input(what)
-                    .remedy("decompress it: `mcap compress --compression none IN -o OUT`"));
+                return Err(Error::input(what).remedy("decompress it: `mcap decompress IN -o OUT`"));
             }
             Err(error) => self
                 .notes

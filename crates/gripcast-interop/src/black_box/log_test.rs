@@ -217,7 +217,7 @@ fn files_of_others_are_named() {
     let head = [&[6][..], &(chunk.len() as u64).to_le_bytes()].concat();
     let error = refused(&[mcap::MAGIC, &head, &chunk].concat());
     assert!(error.what().contains("compressed with zstd"), "{error}");
-    assert!(error.remedy_text().unwrap().contains("mcap compress"));
+    assert!(error.remedy_text().unwrap().contains("mcap decompress"));
 
     // The length of a record that no file has.
     let log = {
