@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# tools/lerobot.sh [PYTEST ARGUMENT…]: the camera plugin for LeRobot and the LeRobot export, with the
+# tools/lerobot.sh [PYTEST ARGUMENT…]: the camera plugin for LeRobot and the LeRobot exports, with the
 # package `lerobot`. Needs GRIPCAST_BIN, the program; takes two minutes.
 #
 # The Python is GRIPCAST_LEROBOT_PYTHON, else an environment below ${GRIPCAST_CACHE:-~/.cache/gripcast}
@@ -42,8 +42,12 @@ fi
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 (cd "$plugin/tests" && PYTHONPATH=. "$python" -m pytest -q -p no:cacheprovider "$@")
-GRIPCAST__GUARDS__MAX_FRAME_AGE_MS=60000 GRIPCAST__GUARDS__MAX_SKEW_MS=60000 \
-    "$GRIPCAST_BIN" -q collect --rig virtual-markers --script tests/data/three-grasps.txt \
+export GRIPCAST__GUARDS__MAX_FRAME_AGE_MS=60000 GRIPCAST__GUARDS__MAX_SKEW_MS=60000
+"$GRIPCAST_BIN" -q collect --rig virtual-markers --script tests/data/three-grasps.txt \
     --dataset "$folder/collected" >/dev/null
 "$GRIPCAST_BIN" -q dataset export "$folder/collected" --to lerobot --out "$folder/lerobot" >/dev/null
 "$python" tests/peers/load_exports.py "$folder/collected" --lerobot "$folder/lerobot"
+"$GRIPCAST_BIN" -q collect --rig virtual-markers --script tests/data/sequences.txt --black-box \
+    --dataset "$folder/logged" >/dev/null
+"$GRIPCAST_BIN" -q dataset export "$folder/logged" --to lerobot --sequences --out "$folder/sequences" >/dev/null
+"$python" tests/peers/load_sequences.py "$folder/logged" "$folder/sequences"

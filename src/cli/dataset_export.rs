@@ -4,6 +4,7 @@
 //! gripcast dataset export D --to parquet --out D-parquet
 //! gripcast dataset export D --to webdataset --out D-tar --split object-0
 //! gripcast dataset export D --to lerobot --out D-lerobot
+//! gripcast dataset export D --to lerobot --sequences --lift 3 --out D-lerobot-sequences
 //! gripcast dataset export D --to zarr --out D.zarr.zip --size 320x240
 //! gripcast dataset export D --to training --out D-training --split object-0
 //! ```
@@ -17,14 +18,16 @@
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use super::dataset_text::{counted, outcomes_text, size_text};
-use super::flags::{named, size};
+use super::flags::{named, number, size};
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::number::NumberRange;
 use gripcast_dataset::Dataset;
-use gripcast_interop::export::{ExportFormat, ExportPlan, ExportReport, export};
+use gripcast_interop::export::{ExportFormat, ExportPlan, ExportReport, SequencePlan, export};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -36,7 +39,7 @@ pub(super) struct Args {
         ("parquet", "Shards with embedded images, for Hugging Face datasets and pandas",
             ExportFormat::Parquet),
         ("webdataset", "Tar shards, for webdataset", ExportFormat::WebDataset),
-        ("lerobot", "LeRobot version 3: a grasp is an episode of two frames",
+        ("lerobot", "LeRobot version 3: a grasp is an episode of two frames, or a sequence",
             ExportFormat::LeRobot),
         ("zarr", "Zarr version 2 in the layout of UMI's replay buffer", ExportFormat::Zarr),
         ("training", "Shards of the labelled grasps for `train` and `eval`",
@@ -55,12 +58,33 @@ pub(super) struct Args {
     /// Leave out unlabelled grasps; lerobot and training always do
     #[arg(long)]
     only_labelled: bool,
+    /// Export the sequence of each grasp, approach to lift, from the black box (lerobot)
+    #[arg(long)]
+    sequences: bool,
+    /// Directory of the black box [default: blackbox in the dataset]
+    #[arg(long, value_name = "DIR", requires = "sequences")]
+    black_box: Option<PathBuf>,
+    /// Frames per second of sequences [default: the rate of the slowest camera]
+    #[arg(long, value_name = "N", requires = "sequences",
+        value_parser = clap::value_parser!(u32).range(1..=240))]
+    fps: Option<u32>,
+    /// Begin sequences at most this long before the grasp, s [default: at the initial trigger]
+    #[arg(long, value_name = "SECONDS", requires = "sequences", value_parser = part_of_sequence)]
+    approach: Option<f64>,
+    /// End sequences this long after the grasp, or at the label, s [default: 3]
+    #[arg(long, value_name = "SECONDS", requires = "sequences", value_parser = part_of_sequence)]
+    lift: Option<f64>,
     /// Image size in zarr, px [default: 320x240]
     #[arg(long, value_name = "WxH", value_parser = |text: &str| size(text, 1..=8192))]
     size: Option<[u32; 2]>,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
+}
+
+/// Parses the time of a part of a sequence, s.
+fn part_of_sequence(text: &str) -> Result<f64, String> {
+    number(NumberRange::between(0.0, 3600.0).unit("s"))(text)
 }
 
 /// Runs the command.
@@ -70,6 +94,10 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         dataset, out, json, ..
     } = args;
     let folder = out.clone();
+    let remedy = match plan.sequences {
+        Some(_) => "the report above has the reasons",
+        None => "`gripcast dataset verify` reports the damage",
+    };
     let report = interruptible(context, "exporting", move |progress| {
         export(&Dataset::open(&dataset)?, &out, &plan, &|done, all| {
             progress.count(done, all);
@@ -82,7 +110,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let what = format!("{} left out", counted(report.left_out.len(), "grasp"));
     Err(Error::new(ErrorKind::Partial, what)
         .at(folder.display())
-        .remedy("`gripcast dataset verify` reports the damage"))
+        .remedy(remedy))
 }
 
 fn plan(args: &Args) -> Result<ExportPlan> {
@@ -90,6 +118,15 @@ fn plan(args: &Args) -> Result<ExportPlan> {
     plan.split_file.clone_from(&args.split);
     plan.only_split.clone_from(&args.subset);
     plan.only_labelled = args.only_labelled;
+    if args.sequences {
+        let default = SequencePlan::default();
+        plan.sequences = Some(SequencePlan {
+            black_box: args.black_box.clone(),
+            fps: args.fps,
+            approach: args.approach.map(Duration::from_secs_f64),
+            lift: args.lift.map_or(default.lift, Duration::from_secs_f64),
+        });
+    }
     if let Some([width, height]) = args.size {
         if args.to != ExportFormat::Zarr {
             let what = match args.to {

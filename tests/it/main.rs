@@ -43,6 +43,7 @@ mod render_tactile;
 mod replay;
 mod rig;
 mod screen;
+mod sequences;
 mod sim;
 mod synth;
 mod tactile_track;

@@ -1,5 +1,6 @@
-//! Third-party dataset formats: export, import, HDF5.
+//! Third-party dataset formats: export, import, HDF5; the log of a collection.
 
+pub mod black_box;
 pub mod export;
 pub mod hdf5;
 pub mod import;

@@ -12,11 +12,11 @@ use serde_json::Value;
 
 use super::clock::WallClock;
 use super::log_dir::{DiskLogDir, LogDir, LogFile, LogName};
-use super::messages::{CompressedImage, RawImage, camera_channel};
-use super::queue::{Content, Next, Queue, Tap, Topic};
+use super::queue::{Content, Next, Queue, Tap};
 use super::writer::Writer;
-use super::{BlackBox, BlackBoxReport, BlackBoxSettings, Provenance};
+use super::{BlackBox, BlackBoxReport, BlackBoxSettings, Provenance, Topic};
 use gripcast_imaging::{Frame, PixelFormat, Role};
+use gripcast_interop::black_box::{CompressedImage, RawImage, camera_channel};
 
 const CLOCK: WallClock = WallClock {
     offset_ns: 1_795_000_000_000_000_000,

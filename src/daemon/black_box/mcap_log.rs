@@ -11,9 +11,11 @@ use mcap::{McapError, WriteOptions};
 use super::Provenance;
 use super::clock::WallClock;
 use super::log_dir::LogFile;
-use super::messages::{camera_channel, encode_frame, json_channel};
-use super::queue::{Content, Entry, Topic};
+use super::queue::{Content, Entry};
 use gripcast_imaging::{PixelFormat, Role};
+use gripcast_interop::black_box::{
+    CLOCK_OFFSET, METADATA_RECORD, Topic, camera_channel, encode_frame, json_channel,
+};
 
 /// Size at which a chunk is written, bytes. Smaller chunks make a longer index, larger ones cost
 /// more reading per image.
@@ -21,9 +23,6 @@ const CHUNK_BYTES: u64 = 4 << 20;
 
 /// Age at which a chunk is written, ns: a killed program loses the current chunk.
 pub(super) const CHUNK_NS: u64 = 100_000_000;
-
-/// Name of the metadata record.
-const METADATA_RECORD: &str = "gripcast.black_box";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum ChannelKey {
@@ -71,7 +70,7 @@ impl McapLog {
             .create(counting)
             .map_err(as_io)?;
         let offset = clock.offset_ns.to_string();
-        metadata.insert("wall_minus_monotonic_ns".into(), offset);
+        metadata.insert(CLOCK_OFFSET.into(), offset);
         let record = Metadata {
             name: METADATA_RECORD.into(),
             metadata,

@@ -15,7 +15,6 @@ mod black_box_test;
 mod clock;
 mod log_dir;
 mod mcap_log;
-mod messages;
 mod queue;
 mod writer;
 
@@ -31,11 +30,12 @@ use utoipa::ToSchema;
 use self::clock::WallClock;
 use self::log_dir::DiskLogDir;
 use self::queue::Queue;
-pub(super) use self::queue::{Tap, Topic};
+pub(super) use self::queue::Tap;
 use self::writer::Writer;
 use super::thread::{lock, spawn};
 use gripcast_base::error::Result;
 use gripcast_imaging::Role;
+pub(super) use gripcast_interop::black_box::Topic;
 
 /// Maximum wait for the last bytes of the log at the end of a collection. If the disk hangs, the
 /// last file stays open; the grasps have been durable long before.

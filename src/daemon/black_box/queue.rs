@@ -10,24 +10,10 @@ use super::clock::WallClock;
 use crate::daemon::thread::{lock, wait_while};
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_imaging::{Frame, Role};
+use gripcast_interop::black_box::Topic;
 
 /// Extra space for JSON messages when frames have filled the queue, bytes.
 const JSON_RESERVE: usize = 1 << 20;
-
-/// Channel of JSON messages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(in crate::daemon) enum Topic {
-    /// Commands, faults, gaps of the log itself.
-    Events,
-    /// Answered changes of the dataset.
-    Stored,
-    /// Live predictions.
-    Prediction,
-    /// Shear of one gel in one frame.
-    Shear,
-    /// Health of all cameras.
-    Cameras,
-}
 
 /// Contents of a log entry.
 #[derive(Debug)]

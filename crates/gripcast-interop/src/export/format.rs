@@ -1,5 +1,7 @@
 //! Interface of the export formats.
 
+use std::path::Path;
+
 use super::plan::ExportPlan;
 use super::selection::Survey;
 use super::source::Grasp;
@@ -31,6 +33,8 @@ pub(super) struct ExportContext<'a> {
     pub(super) folder: &'a StagedFolder,
     pub(super) plan: &'a ExportPlan,
     pub(super) survey: &'a Survey,
+    /// Folder of the dataset.
+    pub(super) dataset: &'a Path,
     pub(super) descriptor: &'a Descriptor,
     /// Splits with their grasps.
     pub(super) splits: &'a [(String, Vec<GraspId>)],

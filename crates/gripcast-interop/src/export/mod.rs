@@ -25,8 +25,10 @@ mod zarr;
 mod export_test;
 #[cfg(test)]
 mod fields_test;
+#[cfg(test)]
+mod sequence_test;
 
 pub use crate::left_out::LeftOut;
-pub use plan::{ExportFormat, ExportPlan};
+pub use plan::{ExportFormat, ExportPlan, SequencePlan};
 pub use report::ExportReport;
 pub use run::export;

@@ -1,12 +1,17 @@
 //! Settings of an export.
 
 use std::fmt;
+use std::path::PathBuf;
+use std::time::Duration;
 
 /// Default size of a shard, bytes, common with Hugging Face and WebDataset.
 const SHARD_BYTES: usize = 256 << 20;
 /// Input size of the models, width and height in pixels: the size of images in training shards, and
 /// the default in Zarr.
 pub(super) const SIZE: (u32, u32) = (320, 240);
+
+/// Default time of a sequence after the grasp.
+const LIFT: Duration = Duration::from_secs(3);
 
 /// Formats of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,7 +20,7 @@ pub enum ExportFormat {
     Parquet,
     /// Tar shards, for `webdataset`.
     WebDataset,
-    /// LeRobot version 3; a grasp is an episode of two frames.
+    /// LeRobot version 3; a grasp is an episode of two frames, or of a sequence.
     LeRobot,
     /// Zarr version 2 with the replay-buffer layout of UMI and Diffusion Policy.
     Zarr,
@@ -67,11 +72,37 @@ pub struct ExportPlan {
     pub only_split: Option<String>,
     /// Leaves out unlabelled grasps; LeRobot and Training always do.
     pub only_labelled: bool,
+    /// LeRobot: exports sequences from the black box instead of two frames per grasp.
+    pub sequences: Option<SequencePlan>,
     /// Width and height of images in Zarr, pixels.
     pub size: (u32, u32),
     /// Maximum size of a shard (Parquet, WebDataset, Training), bytes; only a single grasp may be
     /// larger.
     pub shard_bytes: usize,
+}
+
+/// How sequences are cut from the black box.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SequencePlan {
+    /// Directory of the black box; `None`: `blackbox` in the dataset.
+    pub black_box: Option<PathBuf>,
+    /// Frames per second; `None`: the rate of the slowest camera.
+    pub fps: Option<u32>,
+    /// Maximum time before the grasp; `None`: from the initial trigger.
+    pub approach: Option<Duration>,
+    /// Time after the grasp; a sequence ends earlier where the label was given earlier.
+    pub lift: Duration,
+}
+
+impl Default for SequencePlan {
+    fn default() -> Self {
+        Self {
+            black_box: None,
+            fps: None,
+            approach: None,
+            lift: LIFT,
+        }
+    }
 }
 
 impl ExportPlan {
@@ -83,6 +114,7 @@ impl ExportPlan {
             split_file: None,
             only_split: None,
             only_labelled: false,
+            sequences: None,
             size: SIZE,
             shard_bytes: SHARD_BYTES,
         }

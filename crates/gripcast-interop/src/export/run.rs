@@ -35,6 +35,10 @@ pub fn export(
     on_progress: &dyn Fn(usize, usize),
 ) -> Result<ExportReport> {
     check_outside(dataset.path(), out)?;
+    if plan.sequences.is_some() && plan.format != ExportFormat::LeRobot {
+        let what = format!("{} has no sequences", plan.format);
+        return Err(Error::usage(what).remedy("export to lerobot"));
+    }
     let selection = select(dataset, plan).map_err(|e| e.at(dataset.path().display()))?;
     let folder = StagedFolder::create(out)?;
     write(dataset, &folder, plan, selection, on_progress)
@@ -63,6 +67,7 @@ fn write(
         folder,
         plan,
         survey: &selection.survey,
+        dataset: dataset.path(),
         descriptor: dataset.descriptor(),
         splits: &selection.splits,
     };
@@ -108,9 +113,10 @@ fn write(
     if let (0, Some(first)) = (report.grasps, report.left_out.first()) {
         let reason = &first.reason;
         let what = format!("cannot export any of the {all} grasps, the first because of {reason}");
-        return Err(Error::input(what).remedy(match is_damaged {
-            true => "run `gripcast dataset verify` and `recover`",
-            false => "the format requires more data than these grasps have, see docs/reference/exports.md",
+        return Err(Error::input(what).remedy(match (is_damaged, &plan.sequences) {
+            (true, _) => "run `gripcast dataset verify` and `recover`",
+            (false, Some(_)) => "name the directory of their log with `--black-box`",
+            (false, None) => "the format requires more data than these grasps have, see docs/reference/exports.md",
         }));
     }
     report.notes.extend(writer.finish()?);

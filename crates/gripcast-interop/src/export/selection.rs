@@ -34,6 +34,8 @@ pub(super) struct Survey {
     pub(super) has_pose: bool,
     pub(super) has_prediction: bool,
     pub(super) has_force: bool,
+    /// Whether the gripper's opening is known for any grasp.
+    pub(super) has_opening: bool,
     /// Maximum length of an id, characters.
     pub(super) longest_id: usize,
     /// Maximum length of an object name, characters.
@@ -59,6 +61,7 @@ impl Survey {
         self.has_pose |= record.pose.is_some();
         self.has_prediction |= record.prediction.is_some();
         self.has_force |= !record.grasp.force.is_empty();
+        self.has_opening |= opening_m(record).is_some();
         self.longest_id = self.longest_id.max(record.id.chars().count());
         self.longest_object = self.longest_object.max(record.object.chars().count());
         let crops = record.grasp.cameras.values();
@@ -80,6 +83,14 @@ impl Survey {
         let common = self.crops.iter().max_by_key(|(_, count)| **count);
         common.map(|(name, _)| name.as_str())
     }
+}
+
+/// Distance between the undeformed gel faces at the grasp, m: that of the simulator, or measured on
+/// the gripper's tags.
+pub(super) fn opening_m(record: &GraspRecord) -> Option<f64> {
+    let annotated = record.pose.as_ref();
+    let simulated = record.truth.as_ref().map(|truth| truth.opening_m);
+    simulated.or_else(|| annotated?.quality.as_ref()?.opening_m)
 }
 
 impl Selection {

@@ -8,6 +8,7 @@ use serde_json::json;
 
 use super::format::{ExportContext, Writer};
 use super::plan::SIZE;
+use super::selection::opening_m;
 use super::shard_files::ShardFiles;
 use super::source::{Grasp, Image};
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -167,7 +168,6 @@ fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<Shar
         (None, Some(pose)) => Some(pose.t_object_gripper()?),
         (None, None) => None,
     };
-    let opening = annotated.and_then(|pose| pose.quality.as_ref()?.opening_m);
     let (engine, appearance) = match truth {
         Some(_) => (ShardEngine::Fem, "virtual-rig"),
         None => (ShardEngine::Real, "real"),
@@ -189,7 +189,7 @@ fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<Shar
         lifted_m: truth.map(|truth| truth.lifted_m),
         force_left_n: truth.map(|truth| truth.force_n[0]),
         force_right_n: truth.map(|truth| truth.force_n[1]),
-        opening_m: truth.map(|truth| truth.opening_m).or(opening),
+        opening_m: opening_m(record),
         t_object_gripper,
         fault: None,
         appearance: appearance.to_owned(),

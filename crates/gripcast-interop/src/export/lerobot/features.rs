@@ -5,8 +5,8 @@ use serde_json::{Map, Value, json};
 use super::super::fields::{UniformField, tactile_name};
 use super::super::selection::Survey;
 use gripcast_base::error::{Error, Result};
-use gripcast_dataset::Stage;
 use gripcast_dataset::shard::ColumnType;
+use gripcast_dataset::{MARKERS, Stage};
 use gripcast_imaging::Role;
 
 /// Roles of the colour cameras.
@@ -19,6 +19,10 @@ pub(super) const POSE: &str = "observation.pose";
 pub(super) const P_STABLE: &str = "prediction.p_stable";
 /// Name of the force feature.
 const FORCE: &str = "observation.force";
+/// Name of the feature with the gripper's opening.
+pub(super) const ACTION: &str = "action";
+/// Name of the feature with the phase of a frame.
+const PHASE: &str = "phase";
 /// Features of every frame, after the others: name, type, and LeRobot's name of the type.
 pub(super) const ALWAYS: [(&str, ColumnType, &str); 8] = [
     ("next.reward", ColumnType::Float32, "float32"),
@@ -43,11 +47,26 @@ pub(super) struct Features {
     pub(super) has_pose: bool,
     pub(super) has_prediction: bool,
     pub(super) has_force: bool,
+    /// Features of sequences; `None` for pairs of frames.
+    pub(super) sequence: Option<SequenceFeatures>,
+}
+
+/// Features that only sequences have: the driver time of each camera's frame, and the phase.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SequenceFeatures {
+    /// Whether the gripper's opening is known for any grasp.
+    pub(super) has_action: bool,
 }
 
 /// Name of a colour camera's feature.
 pub(super) fn colour_name(role: Role) -> String {
     format!("observation.images.{role}")
+}
+
+/// Name of the feature with the driver times of a camera. LeRobot takes what begins with
+/// `observation` for an input of policies.
+fn time_name(role: Role) -> String {
+    format!("driver_time_ns.{role}")
 }
 
 /// Name of a field's feature.
@@ -57,11 +76,16 @@ fn field_name(field: &UniformField) -> String {
 
 impl Features {
     /// Selects the cameras that all grasps have in one size; returns a note for each other one.
+    /// Sequences need a camera's size at the grasp only.
     ///
     /// # Errors
     /// `Input`: no such camera.
-    pub(super) fn choose(survey: &Survey) -> Result<(Self, Vec<String>)> {
+    pub(super) fn choose(survey: &Survey, is_sequence: bool) -> Result<(Self, Vec<String>)> {
         let mut notes = Vec::new();
+        let stages = match is_sequence {
+            true => &[Stage::Grasp][..],
+            false => &Stage::ALL,
+        };
         let mut size = |role: Role, stages: &[Stage]| {
             let name = if role == Role::Depth {
                 DEPTH.to_owned()
@@ -91,7 +115,7 @@ impl Features {
         };
         let colour: Vec<_> = COLOUR
             .into_iter()
-            .filter_map(|role| Some((role, size(role, &Stage::ALL)?)))
+            .filter_map(|role| Some((role, size(role, stages)?)))
             .collect();
         let depth = size(Role::Depth, &[Stage::Grasp]);
         if colour.is_empty() {
@@ -100,8 +124,25 @@ impl Features {
                 "select grasps of one rig with `--split` and `--subset`, or use another format";
             return Err(Error::input(what).remedy(remedy));
         }
-        let (fields, other) = survey.fields.of_one_shape();
+        let (mut fields, other) = survey.fields.of_one_shape();
         notes.extend(other);
+        if is_sequence {
+            fields.retain(|field| {
+                let (role, name) = &field.key;
+                let is_logged = *name == MARKERS && colour.iter().any(|(of, _)| of == role);
+                if !is_logged {
+                    notes.push(format!(
+                        "field {name} of {role} left out: no sequence has it"
+                    ));
+                }
+                is_logged
+            });
+            if !survey.has_opening {
+                notes.push(format!(
+                    "{ACTION} left out: no grasp has the gripper's opening"
+                ));
+            }
+        }
         let features = Self {
             fields,
             colour,
@@ -109,8 +150,42 @@ impl Features {
             has_pose: survey.has_pose,
             has_prediction: survey.has_prediction,
             has_force: survey.has_force,
+            sequence: is_sequence.then_some(SequenceFeatures {
+                has_action: survey.has_opening,
+            }),
         };
         Ok((features, notes))
+    }
+
+    /// Cameras: colour, then depth.
+    pub(super) fn roles(&self) -> Vec<Role> {
+        let colour = self.colour.iter().map(|(role, _)| *role);
+        colour.chain(self.depth.map(|_| Role::Depth)).collect()
+    }
+
+    /// Width and height of a camera, pixels.
+    pub(super) fn size(&self, role: Role) -> Option<(u32, u32)> {
+        if role == Role::Depth {
+            return self.depth;
+        }
+        let found = self.colour.iter().find(|(of, _)| *of == role);
+        found.map(|(_, size)| *size)
+    }
+
+    /// Features of sequences: name, type, and LeRobot's type and names.
+    fn sequence_features(&self) -> Vec<(String, ColumnType, &'static str, Value)> {
+        let Some(sequence) = &self.sequence else {
+            return Vec::new();
+        };
+        let mut features = Vec::new();
+        if sequence.has_action {
+            let names = json!(["gripper_opening_m"]);
+            features.push((ACTION.to_owned(), ColumnType::Float32, "float32", names));
+        }
+        let times = self.roles().into_iter().map(time_name);
+        let integers = times.chain([PHASE.to_owned()]);
+        features.extend(integers.map(|name| (name, ColumnType::Int64, "int64", Value::Null)));
+        features
     }
 
     /// Columns of the data files, in the order of the cells of a frame.
@@ -125,6 +200,8 @@ impl Features {
             let kind = ColumnType::Float32Array(field.shape.len());
             columns.push((field_name(field), kind));
         }
+        let sequence = self.sequence_features().into_iter();
+        columns.extend(sequence.map(|(name, kind, _, _)| (name, kind)));
         if self.has_pose {
             columns.push((POSE.to_owned(), ColumnType::Float32List(7)));
         }
@@ -158,6 +235,10 @@ impl Features {
             let names = json!({"components": field.counts.columns, "units": field.counts.units});
             let array = json!({"dtype": "float32", "shape": field.shape, "names": names});
             features.insert(field_name(field), array);
+        }
+        for (name, _, dtype, names) in self.sequence_features() {
+            let scalar = json!({"dtype": dtype, "shape": [1], "names": names});
+            features.insert(name, scalar);
         }
         if self.has_pose {
             let names = ["x_m", "y_m", "z_m", "q_w", "q_x", "q_y", "q_z"];
@@ -218,7 +299,7 @@ mod tests {
             (Stage::Grasp, Role::Rgb, 3, VGA),
             (Stage::Grasp, Role::Depth, 2, VGA),
         ]);
-        let (features, notes) = Features::choose(&survey).unwrap();
+        let (features, notes) = Features::choose(&survey, false).unwrap();
         assert_eq!(features.colour, [(Role::Left, (640, 480))]);
         assert_eq!(features.depth, None);
         assert_eq!(
@@ -243,7 +324,7 @@ mod tests {
     #[test]
     fn dataset_without_common_camera_is_refused() {
         let survey = survey(&[(Stage::Grasp, Role::Left, 3, &[(640, 480)])]);
-        let error = Features::choose(&survey).unwrap_err();
+        let error = Features::choose(&survey, false).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input);
         assert!(error.remedy_text().is_some());
     }

@@ -1,18 +1,24 @@
-//! The two LeRobot frames of a grasp.
+//! The LeRobot frames of a grasp.
 
 use std::borrow::Cow;
 
 use image::RgbImage;
 
+use super::super::selection::opening_m;
 use super::super::source::{Grasp, Image};
-use super::FRAMES;
+use super::PAIR;
 use super::features::Features;
+use super::sequences::{Moment, Sequence};
+use super::ticks::Phase;
 use super::tiff;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::npy::Array;
-use gripcast_dataset::Stage;
 use gripcast_dataset::shard::TableCell;
-use gripcast_imaging::{Decoder, DepthImage, Role, decode_png_grey16, encode_png_rgb};
+use gripcast_dataset::{GraspRecord, Stage};
+use gripcast_imaging::{
+    Decoder, DepthImage, Frame, PixelFormat, Role, decode_png_grey16, encode_png_rgb, jpeg,
+};
+use gripcast_shear::FingerForce;
 
 /// Converts grasps to frames.
 pub(super) struct Frames {
@@ -37,10 +43,7 @@ struct Depth {
 
 /// Decoded images of both frames.
 pub(super) struct Images {
-    frames: [FrameImages; FRAMES],
-    pose: Option<Vec<f64>>,
-    p_stable: Option<f64>,
-    force: Option<Vec<f64>>,
+    frames: [FrameImages; PAIR],
 }
 
 struct FrameImages {
@@ -53,8 +56,25 @@ struct FrameImages {
 /// One frame: images and fields, then numbers in the order of the columns.
 pub(super) struct FrameRow {
     images: FrameImages,
-    numbers: Vec<Vec<f64>>,
     cells: Vec<TableCell<'static>>,
+}
+
+/// Place of a frame in its episode and in the dataset.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    /// Index in the episode.
+    pub(super) frame: usize,
+    /// Index of the grasp.
+    pub(super) episode: usize,
+    /// Index in the dataset.
+    pub(super) index: usize,
+    /// Index of the task.
+    pub(super) task: usize,
+    /// Time since the first frame of the episode, s.
+    pub(super) timestamp_s: f64,
+    pub(super) is_last: bool,
+    /// Whether the grasp is stable.
+    pub(super) is_stable: bool,
 }
 
 impl Images {
@@ -83,8 +103,13 @@ impl FrameRow {
             let values = array.values().iter().map(|value| f64::from(*value));
             Cow::Owned(values.collect())
         });
-        let others = self.numbers.iter();
-        fields.chain(others.map(|numbers| Cow::Borrowed(numbers.as_slice())))
+        let others = self.cells.iter().map(|cell| match cell {
+            TableCell::Numbers(numbers) => Cow::Borrowed(numbers.as_slice()),
+            TableCell::Number(number) => Cow::Owned(vec![*number]),
+            TableCell::Integer(number) => Cow::Owned(vec![*number as f64]),
+            _ => Cow::Owned(Vec::new()),
+        });
+        fields.chain(others)
     }
 
     /// Counts of the depth camera.
@@ -139,30 +164,167 @@ impl Frames {
                 counts,
             });
         }
+        Ok(Images {
+            frames: [first, second],
+        })
+    }
+
+    /// Both frames of a grasp; `first` is the place of the first.
+    pub(super) fn pair(
+        &self,
+        record: &GraspRecord,
+        images: Images,
+        first: Place,
+    ) -> [FrameRow; PAIR] {
+        let row = |frame: usize, images: FrameImages| {
+            let is_grasp = frame + 1 == PAIR;
+            let place = Place {
+                frame,
+                index: first.index + frame,
+                timestamp_s: frame as f64,
+                is_last: is_grasp,
+                ..first
+            };
+            let mut cells = Vec::new();
+            // Pose and prediction are of the grasp as a whole.
+            self.push_grasp(&mut cells, record, true);
+            // The gels of the first frame are untouched.
+            let force = |role| record.grasp.force.get(&role).filter(|_| is_grasp);
+            self.push_force(&mut cells, force);
+            cells.extend(place.cells());
+            FrameRow { images, cells }
+        };
+        let [initial, grasp] = images.frames;
+        [row(0, initial), row(1, grasp)]
+    }
+
+    /// A frame of a sequence.
+    ///
+    /// # Errors
+    /// An image does not decode, `Internal`: it cannot be encoded.
+    pub(super) fn of_moment(
+        &mut self,
+        grasp: &Grasp,
+        sequence: &Sequence,
+        moment: &Moment<'_>,
+        place: Place,
+    ) -> Result<FrameRow> {
         let record = &grasp.record;
-        let pose = self.features.has_pose.then(|| match &record.pose {
-            Some(pose) => [&pose.t_m[..], &pose.q_wxyz[..]].concat(),
-            None => vec![f64::NAN; 7],
+        let (mut colour, mut depth) = (Vec::new(), None);
+        for (role, frame) in sequence.roles.iter().zip(&moment.frames) {
+            match role {
+                Role::Depth => {
+                    let counts = self.decoder.depth(frame)?;
+                    let bytes = tiff::encode(&counts)?;
+                    depth = Some(Depth { bytes, counts });
+                }
+                _ => colour.push(self.colour(frame)?),
+            }
+        }
+        let time_of = |role: Role| {
+            let at = sequence.roles.iter().position(|of| *of == role)?;
+            moment.tick.frames_ns.get(at).copied()
+        };
+        let shear = |role: Role| sequence.shear(role, time_of(role)?);
+        let fields = self.features.fields.iter().map(|field| {
+            let role = field.key.0;
+            // The stored frames have what was stored with them.
+            let stored = record.stages().into_iter().find(|(stage, frames)| {
+                let key = (*stage, role, field.key.1.clone());
+                let camera = frames.cameras.get(&role);
+                camera.map(|camera| camera.driver_time_ns) == time_of(role)
+                    && grasp.fields.contains_key(&key)
+            });
+            if let Some((stage, _)) = stored {
+                return field.of(&grasp.fields, stage);
+            }
+            let markers = shear(role).and_then(|shear| shear.markers.as_ref());
+            let markers = markers.filter(|markers| markers.shape == field.shape);
+            let count = field.shape.iter().product();
+            let values = match markers {
+                Some(markers) => {
+                    let values = markers.values.iter();
+                    values.map(|value| value.unwrap_or(f32::NAN)).collect()
+                }
+                None => vec![f32::NAN; count],
+            };
+            Array::new(field.shape.clone(), values)
         });
-        let p_stable = self.features.has_prediction.then(|| {
-            let prediction = record.prediction.as_ref();
-            prediction.map_or(f64::NAN, |prediction| prediction.p_stable)
+        let images = FrameImages {
+            fields: fields.collect::<Result<_>>()?,
+            colour,
+            depth,
+        };
+        let is_grasp = moment.tick.phase == Phase::Grasp;
+        let mut cells = Vec::new();
+        if self.features.sequence.is_some_and(|s| s.has_action) {
+            let opening = opening_m(record).filter(|_| is_grasp);
+            cells.push(TableCell::Number(opening.unwrap_or(f64::NAN)));
+        }
+        let times = moment.tick.frames_ns.iter();
+        let times = times.map(|time| i64::try_from(*time).unwrap_or(i64::MAX));
+        cells.extend(
+            times
+                .chain([moment.tick.phase.number()])
+                .map(TableCell::Integer),
+        );
+        self.push_grasp(&mut cells, record, is_grasp);
+        self.push_force(&mut cells, |role| match is_grasp {
+            true => record.grasp.force.get(&role),
+            false => shear(role)?.force.as_ref(),
         });
-        let force = self.features.has_force.then(|| {
-            let gels = [Role::Left, Role::Right].map(|role| record.grasp.force.get(&role));
-            let numbers = gels.map(|force| {
+        cells.extend(place.cells());
+        Ok(FrameRow { images, cells })
+    }
+
+    /// A frame of a colour camera, encoded as it is stored.
+    fn colour(&mut self, frame: &Frame) -> Result<Colour> {
+        if frame.format == PixelFormat::Mjpg {
+            let (file, _) = jpeg::whole_file(&frame.data)?;
+            let pixels = self.decoder.stored_image(&file)?;
+            // LeRobot requires three channels.
+            let bytes = match jpeg::inspect(&file)?.components {
+                1 => encode_png_rgb(&pixels)?,
+                _ => file.into_owned(),
+            };
+            return Ok(Colour { bytes, pixels });
+        }
+        let pixels = self.decoder.decode_full(frame)?;
+        let bytes = encode_png_rgb(&pixels)?;
+        Ok(Colour { bytes, pixels })
+    }
+
+    /// Adds pose and prediction; NaN where `has` is false or the grasp has none.
+    fn push_grasp(&self, cells: &mut Vec<TableCell<'static>>, record: &GraspRecord, has: bool) {
+        if self.features.has_pose {
+            let pose = record.pose.as_ref().filter(|_| has);
+            cells.push(TableCell::Numbers(match pose {
+                Some(pose) => [&pose.t_m[..], &pose.q_wxyz[..]].concat(),
+                None => vec![f64::NAN; 7],
+            }));
+        }
+        if self.features.has_prediction {
+            let prediction = record.prediction.as_ref().filter(|_| has);
+            let p_stable = prediction.map_or(f64::NAN, |prediction| prediction.p_stable);
+            cells.push(TableCell::Number(p_stable));
+        }
+    }
+
+    /// Adds the forces of both gels; NaN where there is none.
+    fn push_force<'f>(
+        &self,
+        cells: &mut Vec<TableCell<'static>>,
+        force: impl Fn(Role) -> Option<&'f FingerForce>,
+    ) {
+        if self.features.has_force {
+            let numbers = [Role::Left, Role::Right].map(|role| {
+                let force = force(role);
                 let [x, y] = force.and_then(|f| f.shear_n).unwrap_or([f64::NAN; 2]);
                 let normal = force.map_or(f64::NAN, |f| f.normal_n);
                 [normal, force.map_or(f64::NAN, |f| f.normal_std_n), x, y]
             });
-            numbers.as_flattened().to_vec()
-        });
-        Ok(Images {
-            frames: [first, second],
-            pose,
-            p_stable,
-            force,
-        })
+            cells.push(TableCell::Numbers(numbers.as_flattened().to_vec()));
+        }
     }
 
     fn frame(&mut self, grasp: &Grasp, stage: Stage) -> Result<FrameImages> {
@@ -195,60 +357,17 @@ fn image_of(grasp: &Grasp, stage: Stage, role: Role) -> Result<&Image> {
     })
 }
 
-/// Builds both frames. `episode` and `task` are the indices of the grasp and of its task.
-pub(super) fn rows(
-    is_stable: bool,
-    episode: usize,
-    task: usize,
-    images: Images,
-) -> [FrameRow; FRAMES] {
-    let Images {
-        frames: [first, second],
-        pose,
-        p_stable,
-        force,
-    } = images;
-    let row = |frame: usize, images: FrameImages| {
-        let is_last = frame + 1 == FRAMES;
-        let succeeds = is_last && is_stable;
-        let flags = [is_last, succeeds].map(i64::from);
-        let indices = [frame, episode, episode * FRAMES + frame, task].map(|i| i as i64);
-        let reward = f64::from(u8::from(succeeds));
-        let timestamp = frame as f64;
-        let mut cells = Vec::new();
-        let mut numbers = Vec::new();
-        if let Some(pose) = &pose {
-            cells.push(TableCell::Numbers(pose.clone()));
-            numbers.push(pose.clone());
-        }
-        if let Some(p_stable) = p_stable {
-            cells.push(TableCell::Number(p_stable));
-            numbers.push(vec![p_stable]);
-        }
-        if let Some(force) = &force {
-            // That of the grasp: the gels of the first frame are untouched.
-            let of_frame = match is_last {
-                true => force.clone(),
-                false => vec![f64::NAN; force.len()],
-            };
-            cells.push(TableCell::Numbers(of_frame.clone()));
-            numbers.push(of_frame);
-        }
-        cells.push(TableCell::Number(reward));
-        cells.extend(flags.map(TableCell::Integer));
-        cells.push(TableCell::Number(timestamp));
-        cells.extend(indices.map(TableCell::Integer));
-        let scalars = [reward]
+impl Place {
+    /// Cells of the features of every frame, in the order of [`ALWAYS`](super::features::ALWAYS).
+    fn cells(self) -> impl Iterator<Item = TableCell<'static>> {
+        let succeeds = self.is_last && self.is_stable;
+        let reward = TableCell::Number(f64::from(u8::from(succeeds)));
+        let flags = [self.is_last, succeeds].map(i64::from);
+        let indices = [self.frame, self.episode, self.index, self.task].map(|i| i as i64);
+        [reward]
             .into_iter()
-            .chain(flags.map(|flag| flag as f64))
-            .chain([timestamp])
-            .chain(indices.map(|index| index as f64));
-        numbers.extend(scalars.map(|number| vec![number]));
-        FrameRow {
-            images,
-            numbers,
-            cells,
-        }
-    };
-    [row(0, first), row(1, second)]
+            .chain(flags.map(TableCell::Integer))
+            .chain([TableCell::Number(self.timestamp_s)])
+            .chain(indices.map(TableCell::Integer))
+    }
 }

@@ -3,7 +3,7 @@
 use serde_json::{Map, Value, json};
 
 use super::features::Features;
-use super::{DATA_FILE_BYTES, FILES_PER_CHUNK, FRAMES};
+use super::{DATA_FILE_BYTES, FILES_PER_CHUNK};
 use gripcast_base::error::{Error, Result};
 use gripcast_dataset::Descriptor;
 
@@ -15,6 +15,9 @@ const VIDEO_FILE_MB: usize = 200;
 /// Totals of the export.
 pub(super) struct Totals<'a> {
     pub(super) grasps: usize,
+    pub(super) frames: usize,
+    /// Frames per second; 1 where frames are steps, not samples in time.
+    pub(super) fps: u32,
     pub(super) tasks: usize,
     /// Splits with their first episodes.
     pub(super) splits: &'a [(String, usize)],
@@ -33,13 +36,12 @@ pub(super) fn info(
         "codebase_version": VERSION,
         "robot_type": descriptor.rig,
         "total_episodes": totals.grasps,
-        "total_frames": totals.grasps * FRAMES,
+        "total_frames": totals.frames,
         "total_tasks": totals.tasks,
         "chunks_size": FILES_PER_CHUNK,
         "data_files_size_in_mb": DATA_FILE_BYTES >> 20,
         "video_files_size_in_mb": VIDEO_FILE_MB,
-        // Frames are steps, not samples in time; time stamps are in the records.
-        "fps": 1,
+        "fps": totals.fps,
         "splits": splits(totals),
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": null,

@@ -1,4 +1,5 @@
-//! LeRobot format, version 3: a grasp is an episode of two frames, initial and grasp.
+//! LeRobot format, version 3: a grasp is an episode of two frames, initial and grasp, or of its
+//! sequence in the black box.
 //!
 //! Layout of the package `lerobot` 0.4: `meta/info.json`, `meta/stats.json`, `meta/tasks.parquet`,
 //! `meta/episodes/` and `data/` in files of bounded size. Images are embedded; there are no videos.
@@ -6,18 +7,21 @@
 mod features;
 mod frames;
 mod info;
+mod sequences;
 mod stats;
+mod ticks;
 mod tiff;
 
 use super::format::{ExportContext, Writer};
 use super::source::Grasp;
 use features::Features;
-use frames::Frames;
+use frames::{Frames, Place};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileName};
 use gripcast_dataset::Outcome;
 use gripcast_dataset::shard::{ColumnType, TableCell, TableWriter};
 use info::{Totals, info, tasks_metadata};
+use sequences::Sequences;
 use stats::Stats;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -26,8 +30,8 @@ use std::collections::BTreeMap;
 const DATA_FILE_BYTES: usize = 100 << 20;
 /// Files per chunk directory; LeRobot's default.
 const FILES_PER_CHUNK: usize = 1000;
-/// Frames per episode.
-const FRAMES: usize = 2;
+/// Frames of an episode that is no sequence.
+const PAIR: usize = 2;
 /// Columns of the episodes; those with `gripcast/` are extensions.
 const EPISODES: [(&str, ColumnType); 11] = [
     ("episode_index", ColumnType::Int64),
@@ -55,15 +59,23 @@ pub(super) struct LeRobot<'a> {
     /// Index of the open data file.
     file: usize,
     grasps: usize,
+    /// Number of frames of all grasps.
+    total: usize,
+    /// Where sequences come from; `None`: two frames per grasp.
+    sequences: Option<Sequences<'a>>,
     /// Splits with their first episodes.
     splits: Vec<(String, usize)>,
 }
 
 impl<'a> LeRobot<'a> {
     /// # Errors
-    /// `Input`: no camera has images of one size in all grasps. Those of the files.
+    /// `Input`: no camera has images of one size in all grasps. Those of the black box and of the
+    /// files.
     pub(super) fn new(context: ExportContext<'a>) -> Result<Self> {
-        let (features, notes) = Features::choose(context.survey)?;
+        let plan = context.plan.sequences.as_ref();
+        let (features, notes) = Features::choose(context.survey, plan.is_some())?;
+        let sequences = plan.map(|plan| Sequences::open(plan, context.dataset));
+        let sequences = sequences.transpose()?;
         let episodes = EPISODES.map(|(name, kind)| (name.to_owned(), kind));
         let path = file_path(context, &["meta", "episodes"], 0)?;
         let episodes = TableWriter::create(path, episodes.to_vec(), &[])?;
@@ -79,6 +91,8 @@ impl<'a> LeRobot<'a> {
             data,
             file: 0,
             grasps: 0,
+            total: 0,
+            sequences,
             splits: Vec::new(),
         })
     }
@@ -100,15 +114,16 @@ impl<'a> LeRobot<'a> {
         *self.tasks.entry(task).or_insert(next)
     }
 
-    fn episode(&self, grasp: &Grasp) -> Vec<TableCell<'static>> {
+    /// Row of an episode with so many frames, which are not yet counted.
+    fn episode(&self, grasp: &Grasp, frames: usize) -> Vec<TableCell<'static>> {
         let text = |text: String| TableCell::Text(Cow::Owned(text));
-        let first = self.grasps * FRAMES;
+        let first = self.total;
         vec![
             integer(self.grasps),
             text(task_text(&grasp.record.object)),
-            integer(FRAMES),
+            integer(frames),
             integer(first),
-            integer(first + FRAMES),
+            integer(first + frames),
             integer(self.file / FILES_PER_CHUNK),
             integer(self.file % FILES_PER_CHUNK),
             integer(0),
@@ -116,6 +131,71 @@ impl<'a> LeRobot<'a> {
             text(grasp.record.id.to_string()),
             text(String::from_utf8_lossy(&grasp.json).into_owned()),
         ]
+    }
+
+    /// Place of the first frame of the next episode.
+    fn first_place(&mut self, grasp: &Grasp, is_stable: bool) -> Place {
+        Place {
+            frame: 0,
+            episode: self.grasps,
+            index: self.total,
+            task: self.task(&grasp.record.object),
+            timestamp_s: 0.0,
+            is_last: false,
+            is_stable,
+        }
+    }
+
+    /// Adds an episode of two frames; the result is as that of [`Writer::push`].
+    fn push_pair(&mut self, grasp: &Grasp, is_stable: bool) -> Result<Option<Error>> {
+        let images = match self.frames.images(grasp) {
+            Ok(images) => images,
+            Err(error) => return Ok(Some(error)),
+        };
+        self.make_room(images.bytes())?;
+        let first = self.first_place(grasp, is_stable);
+        self.episodes.push(self.episode(grasp, PAIR))?;
+        for frame in self.frames.pair(&grasp.record, images, first) {
+            self.stats.add(&frame);
+            self.data.push(frame.into_cells())?;
+        }
+        self.total += PAIR;
+        self.grasps += 1;
+        Ok(None)
+    }
+
+    /// Adds an episode with the grasp's sequence; the result is as that of [`Writer::push`].
+    fn push_sequence(&mut self, grasp: &Grasp, is_stable: bool) -> Result<Option<Error>> {
+        let Some(sequences) = &mut self.sequences else {
+            return Ok(None);
+        };
+        let sequence = match sequences.find(grasp, self.frames.features()) {
+            Ok(sequence) => sequence,
+            Err(error) => return Ok(Some(error)),
+        };
+        let fps = f64::from(sequences.fps());
+        self.make_room(sequence.bytes)?;
+        let first = self.first_place(grasp, is_stable);
+        self.episodes.push(self.episode(grasp, sequence.len()))?;
+        let Some(sequences) = &self.sequences else {
+            return Ok(None);
+        };
+        let (frames, stats, data) = (&mut self.frames, &mut self.stats, &mut self.data);
+        sequences.moments(&sequence, |moment| {
+            let place = Place {
+                frame: moment.index,
+                index: first.index + moment.index,
+                timestamp_s: moment.index as f64 / fps,
+                is_last: sequence.is_last(moment.index),
+                ..first
+            };
+            let row = frames.of_moment(grasp, &sequence, moment, place)?;
+            stats.add(&row);
+            data.push(row.into_cells())
+        })?;
+        self.total += sequence.len();
+        self.grasps += 1;
+        Ok(None)
     }
 
     fn write_tasks(&self) -> Result<()> {
@@ -153,25 +233,18 @@ impl Writer for LeRobot<'_> {
                 return Ok(Some(Error::input(what)));
             }
         };
-        let images = match self.frames.images(&grasp) {
-            Ok(images) => images,
-            Err(error) => return Ok(Some(error)),
-        };
-        self.make_room(images.bytes())?;
-        let task = self.task(&grasp.record.object);
-        self.episodes.push(self.episode(&grasp))?;
-        for frame in frames::rows(is_stable, self.grasps, task, images) {
-            self.stats.add(&frame);
-            self.data.push(frame.into_cells())?;
+        match self.sequences.is_some() {
+            true => self.push_sequence(&grasp, is_stable),
+            false => self.push_pair(&grasp, is_stable),
         }
-        self.grasps += 1;
-        Ok(None)
     }
 
     fn finish(self: Box<Self>) -> Result<Vec<String>> {
         self.write_tasks()?;
         let totals = Totals {
             grasps: self.grasps,
+            frames: self.total,
+            fps: self.sequences.as_ref().map_or(1, Sequences::fps),
             tasks: self.tasks.len(),
             splits: &self.splits,
         };
@@ -181,7 +254,9 @@ impl Writer for LeRobot<'_> {
         folder.write("meta/stats.json", &self.stats.to_json()?)?;
         self.episodes.finish()?;
         self.data.finish()?;
-        Ok(self.notes)
+        let mut notes = self.notes;
+        notes.extend(self.sequences.iter().flat_map(Sequences::notes));
+        Ok(notes)
     }
 }
 
