@@ -51,6 +51,7 @@ impl Predictor {
     /// images are cropped already and of 320 × 240 pixels, as those of `Grasp.tactile_image` and
     /// `render_tactile`, unless `crop` names a crop profile (`Predictor.crop_profile` for frames of a
     /// camera, `full-v1` for none).
+    #[allow(clippy::too_many_arguments)]
     #[pyo3(signature = (initial = None, grasp = None, rgb = None, depth = None, *, depth_view = "colour", crop = None))]
     fn predict(
         &self,

@@ -110,7 +110,7 @@ fn dataset() -> (tempfile::TempDir, Vec<GraspId>) {
         let grasp_ns = frame(Role::Depth, begin + GRASP).driver_time_ns;
         let labelled_ns = OFFSET + i128::from(grasp_ns + after_ms * MS);
         let at = jiff::Timestamp::from_nanosecond(labelled_ns).unwrap();
-        writer.set_outcome(&record.id, outcome, at).unwrap();
+        writer.set_outcome(&record.id, outcome, at, None).unwrap();
         ids.push(record.id);
     }
     fs::create_dir(root.join("blackbox")).unwrap();

@@ -79,10 +79,11 @@ mod tests {
         let contract = model.contract();
         assert_eq!(
             (&*contract.name, contract.modality),
-            (SHIPPED, Modality::Vt)
+            (SHIPPED, Modality::Vtd)
         );
         assert!(matches!(contract.origin, Origin::Trained { .. }));
         assert!(model.is_native() && model.ood_detector().is_some());
+        assert!(model.lift_head().is_some() && model.conformal_scores().is_some());
         assert!(SHIPPED_BYTES.len() <= 12 << 20);
         let card = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/gripcast-vt.toml");
         let card: toml::Table = std::fs::read_to_string(card).unwrap().parse().unwrap();

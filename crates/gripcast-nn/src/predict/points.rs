@@ -53,7 +53,7 @@ impl Depth {
 
     /// Depths (m, 0: unknown) in the colour image of an image of the left imager, whose optical
     /// axes are parallel to those of the colour camera; the nearest surface of each pixel.
-    fn from_left_imager(&self) -> Vec<f64> {
+    fn seen_from_colour_camera(&self) -> Vec<f64> {
         let (width, height) = self.image.dimensions();
         let from = WristCamera::depth_focal_px(width as usize, height as usize);
         let to = WristCamera::focal_px(WIDTH, HEIGHT);
@@ -99,7 +99,7 @@ impl PointMap {
         }
         let depths_m = match view {
             DepthView::Colour => depth.cropped(),
-            DepthView::LeftImager => depth.from_left_imager(),
+            DepthView::LeftImager => depth.seen_from_colour_camera(),
         };
         let pose = WristCamera::t_gripper_camera();
         let rotation = pose.rotation_matrix();
