@@ -30,8 +30,9 @@ def write_png(path, image):
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
-    rows = b"".join(b"\0" + row.tobytes() for row in image)
-    header = struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 2, 0, 0, 0)
+    bits, colour = (16, 0) if image.ndim == 2 else (8, 2)
+    rows = b"".join(b"\0" + row.astype(">u2" if bits == 16 else "u1").tobytes() for row in image)
+    header = struct.pack(">IIBBBBB", WIDTH, HEIGHT, bits, colour, 0, 0, 0)
     path.write_bytes(
         b"\x89PNG\r\n\x1a\n"
         + chunk(b"IHDR", header)
@@ -49,6 +50,30 @@ def gel(random):
     base = random.uniform(60, 180, 3) + 30 * np.sin(x / 90)[..., None]
     noisy = lambda image: np.clip(image + random.normal(0, 2, image.shape), 0, 255)
     return [noisy(p).astype(np.uint8) for p in (base, base + bump[..., None] * strength)]
+
+
+def depth(random):
+    """A depth image in mm: a box on a tilted ground, with holes."""
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+    image = random.uniform(300, 500) - random.uniform(0, 0.5) * y
+    (x0, x1), (y0, y1) = np.sort(random.integers(20, 300, 2)), np.sort(random.integers(20, 220, 2))
+    image[y0:y1, x0:x1] = random.uniform(120, 250)
+    image[random.random(image.shape) < 0.1] = 0
+    return image.astype(np.uint16)
+
+
+def points(image):
+    """Points of an aligned depth image: the nominal mount and lens of the wrist camera."""
+    pitch, ty, focal = np.deg2rad(-22), -0.078, 925 / 3
+    u = (np.arange(WIDTH) - (WIDTH - 1) / 2)[None] / focal
+    v = (np.arange(HEIGHT) - (HEIGHT - 1) / 2)[:, None] / focal
+    z = image * 1e-3
+    known = z > 0
+    x = z * u
+    y = ty + z * (np.cos(pitch) * v - np.sin(pitch))
+    inverse = 0.2 / np.where(known, z, 1)
+    planes = [np.clip(x / 0.1, -2, 2), np.clip(y / 0.1, -2, 2), inverse]
+    return np.stack([np.where(known, plane, 0) for plane in planes])[None].astype(np.float32)
 
 
 def tensor(pixels):
@@ -82,6 +107,10 @@ def main():
                     mean, std = np.float32(spec["mean"]), np.float32(spec["std"])
                     feed["rgb"] = tensor((after / np.float32(255) - mean) / std)
                     files = {"--rgb": after}
+                elif spec["name"] == "depth":
+                    image = depth(random)
+                    feed["depth"] = points(image)
+                    files = {"--depth": image}
                 else:
                     side = spec["name"].removeprefix("tactile_")
                     difference = (after.astype(np.float32) - before) / np.float32(255)
