@@ -83,11 +83,16 @@ mod tests {
         let usual = |rig: &RigFile| chosen_model("", rig, true).unwrap().unwrap();
         let mut rig = RigFile::virtual_rig();
         assert_eq!(usual(&rig).contract().name, SHIPPED);
-        rig.cameras.remove(&Role::Rgb);
+        // Without cameras it predicts from touch alone, without a gel not at all.
+        for role in [Role::Rgb, Role::Depth] {
+            rig.cameras.remove(&role);
+            assert_eq!(usual(&rig).contract().name, SHIPPED);
+        }
+        rig.cameras.remove(&Role::Left);
         assert_eq!(usual(&rig).contract().name, BASELINE);
         let contract = Model::by_name(SHIPPED).unwrap().contract().clone();
         let why = misfit(&contract, &rig).unwrap();
-        assert!(why.contains("no camera `rgb`"), "{why}");
+        assert!(why.contains("no camera `left`"), "{why}");
 
         let mut rig = RigFile::virtual_rig();
         let left = rig.cameras.get_mut(&Role::Left).unwrap();

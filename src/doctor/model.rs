@@ -116,7 +116,7 @@ mod tests {
         assert_eq!(compute_check("m", &slow).status, CheckStatus::Warn);
 
         let mut rig = RigFile::virtual_rig();
-        rig.cameras.remove(&Role::Rgb);
+        rig.cameras.remove(&Role::Left);
         let default = findings("", Some(&rig));
         assert_eq!(
             (default[0].status, &*default[0].name),
