@@ -18,6 +18,9 @@ use gripcast_dataset::shard::{
 use gripcast_dataset::{GraspRecord, GroupKey, Outcome, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role, encode_png_rgb};
 
+/// Depth of one count in shards, m.
+const DEPTH_UNIT_M: f64 = 1e-3;
+
 /// Writes the shards.
 pub(super) struct TrainingShards<'a> {
     context: ExportContext<'a>,
@@ -97,7 +100,7 @@ impl<'a> TrainingShards<'a> {
                 true => Some(image(Stage::Initial, Role::Rgb)?),
                 false => None,
             },
-            grasp_depth: None,
+            grasp_depth: aligned_depth(grasp),
         };
         Ok(ShardRow {
             facts: facts(record, outcome, self.crop)?,
@@ -158,6 +161,16 @@ impl Writer for TrainingShards<'_> {
         self.end_split()?;
         Ok(Vec::new())
     }
+}
+
+/// Depth image in the grasp, mm, where it is aligned to the colour image: that of a virtual rig. Those
+/// of a D435 are seen from its left imager.
+fn aligned_depth(grasp: &Grasp) -> Option<Vec<u8>> {
+    let camera = grasp.record.grasp.cameras.get(&Role::Depth)?;
+    let is_mm = camera.depth_unit_m == Some(DEPTH_UNIT_M);
+    let image = grasp.images.get(&(Stage::Grasp, Role::Depth));
+    let image = image.filter(|_| is_mm && grasp.record.is_simulated())?;
+    Some(image.bytes.to_vec())
 }
 
 fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<ShardFacts> {
