@@ -173,6 +173,15 @@ fn run(
     if let Some(start) = start {
         if settings.fine_tuning.is_some() {
             start.check_crop_profile(&train)?;
+            let found = train.modality()?;
+            if !found.includes(settings.modality) {
+                warnings.push(format!(
+                    "the samples have {}, the model reads {}: its predictions from inputs that they \
+                     lack stay as they are",
+                    found.words(),
+                    settings.modality.words()
+                ));
+            }
         }
         warnings.extend(start.seen(&validation));
     }
