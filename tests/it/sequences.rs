@@ -120,7 +120,7 @@ fn cut_and_missing_logs(dir: &Path, dataset: &Path, report: &Value) {
     }
 
     fs::write(cut.join(&name), "a text").unwrap();
-    fs::write(cut.join("other.mcap"), "this is no log of a collection").unwrap();
+    fs::write(cut.join("other.mcap"), "not a log of a collection").unwrap();
     let output = export(dataset, &dir.join("of-text"), &arguments);
     assert_eq!(output.status.code(), Some(1));
     assert!(

@@ -103,10 +103,15 @@ fn verdict_in_the_lift_is_stored_with_the_label_and_stays() {
         frame_time_ns: 7,
         alarm_time_ns: Some(6),
     };
+    let later = LiftVerdict {
+        frame_time_ns: 9,
+        ..verdict
+    };
     let labels = [
         (Outcome::Slip, None, None),
         (Outcome::Slip, Some(verdict), Some(verdict)),
         (Outcome::Stable, None, Some(verdict)),
+        (Outcome::Slip, Some(later), Some(verdict)),
     ];
     for (outcome, given, expected) in labels {
         let at = jiff::Timestamp::UNIX_EPOCH;

@@ -115,7 +115,7 @@ pub struct GraspRecord {
     /// Frames of the gels after the grasp trigger, where they were kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lift: Option<LiftRecord>,
-    /// Verdict in the lift when the grasp was labelled; absent without a model that gives one.
+    /// Verdict in the lift when the grasp was first labelled; absent without a model that gives one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lift_verdict: Option<LiftVerdict>,
     /// Digest of each file of the grasp but the record, by file name.

@@ -154,8 +154,8 @@ impl DatasetWriter {
         Ok(record)
     }
 
-    /// Sets or removes the label of a grasp, with the verdict in the lift when it was given; without
-    /// one a stored verdict stays.
+    /// Sets or removes the label of a grasp, with the verdict in the lift when it was given. That of
+    /// the first label stays: later ones see frames from after the lift.
     ///
     /// # Errors
     /// `NotFound` without that grasp; `DiskFull`, `Io`, … with the label as before.
@@ -168,7 +168,7 @@ impl DatasetWriter {
     ) -> Result<GraspRecord> {
         self.change(id, &format!("cannot label {id}"), |record| {
             record.outcome = outcome;
-            record.lift_verdict = verdict.or(record.lift_verdict);
+            record.lift_verdict = record.lift_verdict.or(verdict);
             record.labelled_at = (outcome != Outcome::Unlabelled).then(|| time.to_string());
             Ok(())
         })

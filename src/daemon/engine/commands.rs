@@ -8,8 +8,10 @@ use super::{Engine, StoreEvent};
 use crate::daemon::black_box::Topic;
 use crate::daemon::command_request::CommandRequest;
 use crate::daemon::report::{EndReason, GraspReport};
+use crate::daemon::status::LiftStatus;
 use crate::daemon::store::{StoreJob, StoreMessage};
 use gripcast_base::error::Result;
+use gripcast_base::files::GraspId;
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_dataset::{LiftVerdict, Outcome};
 use gripcast_session::{
@@ -99,10 +101,11 @@ impl Engine {
             return;
         };
         if let StoreRequest::SaveGrasp { .. } = &request {
-            self.name_lift(match reply {
+            self.lifted = match reply {
                 StoreReply::Grasp(grasp) => Some(grasp.id.clone()),
                 _ => None,
-            });
+            };
+            self.name_lift(self.lifted.clone());
         }
         self.update_grasps(&request, reply);
         self.adapt();
@@ -193,7 +196,7 @@ impl Engine {
             self.keep_lift(capture.trigger_time_ns)?;
         }
         let live = self.inference.state().live.clone();
-        let verdict = self.verdict_of(&request);
+        let verdict = verdict(&request, self.lifted.as_ref(), self.inference.state().lift);
         if let Some(pending) = &mut self.pending {
             pending.request = Some(request.clone());
         }
@@ -204,22 +207,6 @@ impl Engine {
             latency_ms: live.map_or(0.0, |live| live.record.latency_ms),
             verdict,
         }))
-    }
-
-    /// Verdict in the lift of the grasp that a request labels; none but for the last one.
-    fn verdict_of(&self, request: &StoreRequest) -> Option<LiftVerdict> {
-        let StoreRequest::SetOutcome { id, outcome } = request else {
-            return None;
-        };
-        let is_last = self.grasps.last().is_some_and(|grasp| grasp.id == **id);
-        let is_labelled = is_last && *outcome != Outcome::Unlabelled;
-        let lift = self.inference.state().lift.filter(|_| is_labelled)?;
-        Some(LiftVerdict {
-            p_stable: lift.p_stable,
-            threshold: lift.threshold,
-            frame_time_ns: lift.frame_time_ns,
-            alarm_time_ns: lift.alarm_time_ns,
-        })
     }
 
     /// Sends the result of a command to its requester.
@@ -235,5 +222,61 @@ impl Engine {
         self.send_status();
         // The requester may have disconnected.
         let _ = response.send(result);
+    }
+}
+
+/// Verdict in the lift of the grasp that a request labels; none unless it is the one that is lifted.
+fn verdict(
+    request: &StoreRequest,
+    lifted: Option<&GraspId>,
+    lift: Option<LiftStatus>,
+) -> Option<LiftVerdict> {
+    let StoreRequest::SetOutcome { id, outcome } = request else {
+        return None;
+    };
+    let is_labelled = lifted == Some(id) && *outcome != Outcome::Unlabelled;
+    let lift = lift.filter(|_| is_labelled)?;
+    Some(LiftVerdict {
+        p_stable: lift.p_stable,
+        threshold: lift.threshold,
+        frame_time_ns: lift.frame_time_ns,
+        alarm_time_ns: lift.alarm_time_ns,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn verdict_is_of_the_grasp_that_is_lifted() {
+        let id = |text: &str| GraspId::parse(text).unwrap();
+        let [lifted, earlier] = ["2026-11-23T10-00-01Z-0002", "2026-11-23T10-00-00Z-0001"].map(id);
+        let status = LiftStatus {
+            p_stable: 0.25,
+            p_before: 0.75,
+            threshold: 0.5,
+            is_stable: false,
+            is_slipping: true,
+            alarm_time_ns: Some(6),
+            frame_time_ns: 7,
+        };
+        let of = |labelled: &GraspId, outcome, lifted: Option<&GraspId>, lift| {
+            let id = labelled.clone();
+            verdict(&StoreRequest::SetOutcome { id, outcome }, lifted, lift)
+        };
+        let found = of(&lifted, Outcome::Slip, Some(&lifted), Some(status)).unwrap();
+        assert_eq!((found.p_stable, found.alarm_time_ns), (0.25, Some(6)));
+        // Also after the newer grasp was undone, an earlier one has no verdict.
+        assert_eq!(
+            of(&earlier, Outcome::Slip, Some(&lifted), Some(status)),
+            None
+        );
+        assert_eq!(
+            of(&lifted, Outcome::Unlabelled, Some(&lifted), Some(status)),
+            None
+        );
+        assert_eq!(of(&lifted, Outcome::Stable, Some(&lifted), None), None);
+        assert_eq!(of(&lifted, Outcome::Stable, None, Some(status)), None);
     }
 }

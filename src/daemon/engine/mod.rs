@@ -41,6 +41,7 @@ use super::store::{Store, StoreMessage};
 use super::tasks::Tasks;
 use super::thread::lock;
 use gripcast_base::error::Result;
+use gripcast_base::files::GraspId;
 use gripcast_capture::calibration::{RigFile, SourceKind};
 use gripcast_capture::camera::{CameraOpener, SupervisionPolicy, monotonic_ns};
 use gripcast_capture::trigger::{Script, ScriptRunner};
@@ -189,6 +190,8 @@ struct Engine {
     keep_lift: Duration,
     /// The lift whose frames are being kept.
     lift: Option<KeptLift>,
+    /// The grasp that was saved last, which the verdict in the lift is about; stays where it is undone.
+    lifted: Option<GraspId>,
     /// Number of grasps by object and outcome, as of the last second.
     objects: Arc<OutcomeCounts>,
     /// What opening the dataset found, one sentence each.

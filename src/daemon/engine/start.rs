@@ -139,6 +139,7 @@ impl Engine {
             target_per_object: setup.target_per_object,
             keep_lift: setup.keep_lift,
             lift: None,
+            lifted: None,
             objects: Arc::default(),
             newest_source,
             opening: opened.notes,

@@ -316,7 +316,9 @@ impl Scan {
                     && name == METADATA_RECORD
                 {
                     let offset = metadata.get(CLOCK_OFFSET);
-                    self.clock_offset_ns = offset.and_then(|offset| offset.parse().ok());
+                    // Nanoseconds since 1970 fit; a damaged number must not overflow.
+                    let offset = offset.and_then(|offset| offset.parse::<i64>().ok());
+                    self.clock_offset_ns = offset.map(i128::from);
                 }
                 Ok(())
             }

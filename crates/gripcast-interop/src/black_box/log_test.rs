@@ -202,6 +202,11 @@ fn files_of_others_are_named() {
         "{error}"
     );
 
+    // An offset that no clock has.
+    write_log(&path, Some(i128::MIN), &[]);
+    let error = open(dir.path()).unwrap_err();
+    assert!(error.what().contains("no metadata"), "{error}");
+
     // A chunk compressed with Zstandard, as other programs write them.
     let chunk = [
         &[0; 8][..],
