@@ -1,4 +1,4 @@
-"""Runs the Python blocks of the how-to guide, and the examples."""
+"""Runs the Python blocks of the how-to guide and the examples, and checks the reference page."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ import shutil
 import sys
 from pathlib import Path
 
+import gripcast
+import gripcast.gym
 import pytest
 
+import api_reference
 from conftest import ROOT
 
 PAGE = ROOT / "docs/how-to/python.md"
@@ -20,6 +23,18 @@ ARGUMENTS = {
     "learn_regrasp": ["--generations", "1", "--population", "2", "--episodes", "1", "--max-grasps", "1"],
 }
 BLOCK = re.compile(r"^(<!-- not run: [^\n]* -->\n)?```python\n(.*?)^```", re.M | re.S)
+
+
+def test_reference_has_every_public_name() -> None:
+    public = {*gripcast.__all__, *gripcast.gym.__all__} - {"__version__"}
+    assert api_reference.listed() == public
+
+
+def test_reference_page_is_that_of_the_package() -> None:
+    page = api_reference.page()
+    assert "|  |\n" not in page, "a member has no docstring"
+    stored = (ROOT / "docs/reference/python-api.md").read_text()
+    assert stored == page, "run python/tests/api_reference.py > docs/reference/python-api.md"
 
 
 @pytest.fixture

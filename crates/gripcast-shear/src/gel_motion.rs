@@ -84,27 +84,26 @@ pub struct LiftMotion {
 }
 
 impl LiftMotion {
-    /// Images of a simulated lift: before it and every 40 ms.
-    pub const FRAMES: usize = 7;
-    /// Number of values of [`LiftMotion::to_values`].
+    /// Images of a simulated lift: before it and every 40 ms of the first 20 mm.
+    pub const FRAMES: usize = 26;
+    /// Largest number of values of [`LiftMotion::to_values`].
     pub const LEN: usize = Self::FRAMES * 2 * GelMotion::LEN;
 
-    /// Values of the first [`LiftMotion::FRAMES`] images, NaN where there are fewer.
+    /// Values of the first [`LiftMotion::FRAMES`] images.
     pub fn to_values(&self) -> Vec<f64> {
         let frames = self.frames.iter().flatten().take(2 * Self::FRAMES);
-        let mut values: Vec<f64> = frames.flat_map(GelMotion::to_array).collect();
-        values.resize(Self::LEN, f64::NAN);
-        values
+        frames.flat_map(GelMotion::to_array).collect()
     }
 
-    /// The motion of [`LiftMotion::to_values`]; none for another number of values, or if one other
-    /// than a slip ratio is not finite.
+    /// The motion of [`LiftMotion::to_values`]; none for a number of values that is not that of
+    /// whole images or too large, or if one other than a slip ratio is not finite. Images with a NaN
+    /// level end the motion.
     pub fn from_values(values: &[f64]) -> Option<Self> {
-        if values.len() != Self::LEN {
+        let (gels, rest) = values.as_chunks::<{ GelMotion::LEN }>();
+        let (pairs, single) = gels.as_chunks::<2>();
+        if values.len() > Self::LEN || !rest.is_empty() || !single.is_empty() {
             return None;
         }
-        let (gels, _) = values.as_chunks::<{ GelMotion::LEN }>();
-        let (pairs, _) = gels.as_chunks::<2>();
         let known = pairs.iter().take_while(|pair| !pair[0][0].is_nan());
         let frames = known.map(|pair| pair.map(GelMotion::from_array));
         let motion = Self {
@@ -142,11 +141,15 @@ mod tests {
         let frames = vec![[gel(4.0, Some(0.3)), gel(5.0, None)], [gel(3.0, None); 2]];
         let motion = LiftMotion { frames };
         let values = motion.to_values();
-        assert_eq!(values.len(), LiftMotion::LEN);
+        assert_eq!(values.len(), 2 * 2 * GelMotion::LEN);
         assert_eq!(LiftMotion::from_values(&values), Some(motion));
         let empty = LiftMotion::default();
         assert_eq!(LiftMotion::from_values(&empty.to_values()), Some(empty));
         assert_eq!(LiftMotion::from_values(&values[1..]), None);
+        assert_eq!(LiftMotion::from_values(&values[GelMotion::LEN..]), None);
+        assert_eq!(LiftMotion::from_values(&[0.0; LiftMotion::LEN + 16]), None);
+        let padded = [values.as_slice(), &[f64::NAN; 16]].concat();
+        assert_eq!(LiftMotion::from_values(&padded).unwrap().frames.len(), 2);
         let mut damaged = values;
         damaged[2] = f64::INFINITY;
         assert_eq!(LiftMotion::from_values(&damaged), None);

@@ -17,7 +17,7 @@ pub const RESULTS: &str = "results";
 const FORMAT: &str = "gripcast-synth-result";
 const RECORD_FORMAT: &str = "gripcast-grasp-record";
 /// Incremented whenever the same plan may give other results.
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 /// Outcome of a simulation that failed.
 pub const FAILED: &str = "failed";
 /// Suffix of result files.

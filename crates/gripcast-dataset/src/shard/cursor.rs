@@ -236,11 +236,11 @@ impl<D: DataType> Leaf<D>
 where
     D::T: Into<f64> + Copy,
 {
-    /// Reads one list of `length` values per row, or null.
+    /// Reads one list of at most `max` values per row, or null.
     fn read_lists(
         &mut self,
         rows: usize,
-        length: usize,
+        max: usize,
         column: &Column,
     ) -> Result<Vec<Cell<'static>>> {
         let Levels {
@@ -249,20 +249,21 @@ where
             repetition,
         } = self.read_levels(rows, column)?;
         let malformed = || {
-            let what = format!("has a row that is not a list of {length} numbers");
+            let what = format!("has a row that is not a list of at most {max} numbers");
             column_error(column.name, what)
         };
         let mut lists = Vec::with_capacity(rows);
-        let (mut values, mut start) = (values.chunks(length), 0);
+        let (mut values, mut start) = (values.as_slice(), 0);
         while start < repetition.len() {
             let next = repetition[start + 1..].iter().position(|&level| level == 0);
             let end = next.map_or(repetition.len(), |next| start + 1 + next);
             let levels = definition.get(start..end).ok_or_else(malformed)?;
             let is_whole =
-                levels.len() == length && levels.iter().all(|&level| level == self.defined);
+                levels.len() <= max && levels.iter().all(|&level| level == self.defined);
             lists.push(if levels == [0] && self.defined == LIST_LEVELS {
                 Cell::Null
-            } else if is_whole && let Some(list) = values.next() {
+            } else if is_whole && let Some((list, rest)) = values.split_at_checked(levels.len()) {
+                values = rest;
                 Cell::Numbers(list.iter().map(|x| (*x).into()).collect())
             } else {
                 return Err(malformed());

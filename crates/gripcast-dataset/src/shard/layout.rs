@@ -10,7 +10,7 @@ use super::table_column::ColumnType;
 use gripcast_base::error::{Error, Result};
 
 /// Maximum length of a list, so that a damaged count takes no memory.
-const MAX_LIST: i64 = 128;
+const MAX_LIST: i64 = 512;
 /// Maximum number of bytes of the images of a row group that are stored as lists of numbers.
 const MAX_LISTED_BYTES: i64 = 128 << 20;
 

@@ -7,7 +7,7 @@ use glam::DQuat;
 use super::cell::{Cell, Cells, column_error};
 use gripcast_base::error::Result;
 use gripcast_geometry::{GraspGeometry, Pose};
-use gripcast_shear::LiftMotion;
+use gripcast_shear::{GelMotion, LiftMotion};
 
 /// Tolerance of a unit quaternion's norm.
 const UNIT_TOLERANCE: f64 = 1e-3;
@@ -65,7 +65,7 @@ pub struct ShardFacts {
     /// Extents of the object in the gripper frame; column `geometry_m` with the values of
     /// [`GraspGeometry::to_array`].
     pub geometry: Option<GraspGeometry>,
-    /// What the gels show in the first millimetres of the lift; column `lift_motion` with the values
+    /// What the gels show in the lift; column `lift_motion` with the values
     /// of [`LiftMotion::to_values`].
     pub lift: Option<LiftMotion>,
     /// Planned deviation from an antipodal grasp: `none`, `off_centre`, `tilted`, …; none for a
@@ -377,8 +377,9 @@ fn optional_pose(cells: &mut Cells<'_>) -> Result<Option<Pose>> {
 fn lift_motion(values: Vec<f64>) -> Result<LiftMotion> {
     LiftMotion::from_values(&values).ok_or_else(|| {
         let what = format!(
-            "has {} numbers, expected {}, finite but for slip ratios and images that are missing",
+            "has {} numbers, expected {} per image and at most {}, finite but for slip ratios",
             values.len(),
+            2 * GelMotion::LEN,
             LiftMotion::LEN
         );
         column_error("lift_motion", what)

@@ -22,7 +22,7 @@ pub enum ColumnType {
     Float64,
     /// 32-bit float; `Number`.
     Float32,
-    /// A list of 64-bit floats of this length; `Numbers`.
+    /// A list of at most this number of 64-bit floats; `Numbers`.
     Float64List(usize),
     /// A list of 32-bit floats of this length; `Numbers`.
     Float32List(usize),

@@ -1,14 +1,14 @@
-//! Compact record of a simulated grasp: the states before the lift and during its first
-//! millimetres, at the frame rate of a sensor.
+//! Compact record of a simulated grasp: the states before the lift and in its first 20 mm, at the
+//! frame rate of a sensor.
 //!
 //! A record keeps what images and learning need: poses, forces, and the displacement of the gels'
-//! faces to 1 µm. With 13 × 11 nodes on a face it takes less than 8 KB as bytes; a trace takes 0.3 MB.
+//! faces to 2 µm. With 13 × 11 nodes on a face it takes 6 KB as bytes; a trace takes 0.3 MB.
 //!
 //! Bytes: DEFLATE of little-endian numbers. Header: u16 states, u16 nodes along x and y, pose of the
-//! gripper before the lift (3 f64 translation, 4 f64 quaternion xyzw). Each state: u8 stage, f64
-//! time, rise of the gripper and opening, the object's pose, for each gel force (normal, two shear,
-//! torque) and smallest gap (NaN without contact) as f32 and the centre of its back as 3 f64; then
-//! the displacements of both faces in µm as zigzag LEB128, each less that of the state before, in the
+//! gripper before the lift (3 f64 translation, 4 f64 quaternion xyzw). Each state: u8 stage, then as
+//! f32 time, rise of the gripper and opening, the object's pose, for each gel force (normal, two
+//! shear, torque) and smallest gap (NaN without contact), and the centre of each gel's back; then the
+//! displacements of both faces in 2 µm as zigzag LEB128, each less that of the state before, in the
 //! first state less that of the neighbouring node.
 
 use std::io::{Read as _, Write as _};
@@ -25,7 +25,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_geometry::Pose;
 
 /// Quantum of displacements, m.
-const QUANTUM_M: f64 = 1e-6;
+const QUANTUM_M: f64 = 2e-6;
 /// Maximum size of an inflated record, bytes.
 const MAX_BYTES: u64 = 16 << 20;
 
@@ -176,8 +176,10 @@ impl GraspRecord {
             .map_err(|e| damaged("it does not inflate").because(e))?;
         let mut input = inflated.as_slice();
         let [states, x, y] = take_all(|| Ok(u16::from_le_bytes(take(&mut input)?).into()))?;
+        let translation_m = DVec3::from_array(take_doubles(&mut input)?);
+        let t_world_gripper = pose(translation_m, take_doubles(&mut input)?)?;
         let mut record = Self {
-            t_world_gripper: take_pose(&mut input)?,
+            t_world_gripper,
             face_nodes: [x, y],
             states: Vec::new(),
         };
@@ -256,24 +258,16 @@ impl RecordedState {
 
     fn write(&self, out: &mut Vec<u8>) {
         out.push(self.stage as u8);
-        for value in [self.t_s, self.lifted_m, self.opening_m] {
-            out.extend(value.to_le_bytes());
-        }
-        push_pose(out, &self.t_world_object);
+        push_singles(out, [self.t_s, self.lifted_m, self.opening_m]);
+        push_singles(out, self.t_world_object.translation_m.to_array());
+        push_singles(out, self.t_world_object.rotation.to_array());
         for (force, gap) in self.force.iter().zip(self.min_gap_m) {
             let [y, z] = force.shear_n;
-            for value in [
-                force.normal_n,
-                y,
-                z,
-                force.torque_n_m,
-                gap.unwrap_or(f64::NAN),
-            ] {
-                out.extend((value as f32).to_le_bytes());
-            }
+            push_singles(out, [force.normal_n, y, z, force.torque_n_m]);
+            push_singles(out, [gap.unwrap_or(f64::NAN)]);
         }
         for gel in &self.gels {
-            push_vector(out, gel.back_m);
+            push_singles(out, gel.back_m.to_array());
         }
     }
 
@@ -281,13 +275,13 @@ impl RecordedState {
         let [code] = take(input)?;
         let stage = StageName::ALL.get(usize::from(code)).copied();
         let stage = stage.ok_or_else(|| damaged("a stage is unknown"))?;
-        let [t_s, lifted_m, opening_m] = take_all(|| Ok(f64::from_le_bytes(take(input)?)))?;
-        let t_world_object = take_pose(input)?;
+        let [t_s, lifted_m, opening_m] = take_singles(input)?;
+        let translation_m = DVec3::from_array(take_singles(input)?);
+        let t_world_object = pose(translation_m, take_singles(input)?)?;
         let mut force = [GelForce::default(); 2];
         let mut min_gap_m = [None; 2];
         for (force, gap) in force.iter_mut().zip(&mut min_gap_m) {
-            let [normal_n, y, z, torque_n_m, found] =
-                take_all(|| Ok(f64::from(f32::from_le_bytes(take(input)?))))?;
+            let [normal_n, y, z, torque_n_m, found] = take_singles(input)?;
             *force = GelForce {
                 normal_n,
                 shear_n: [y, z],
@@ -295,7 +289,7 @@ impl RecordedState {
             };
             *gap = (!found.is_nan()).then_some(found);
         }
-        let [left, right] = [take_vector(input)?, take_vector(input)?];
+        let [left, right] = take_all(|| Ok(DVec3::from_array(take_singles(input)?)))?;
         let face = |back_m| RecordedFace {
             back_m,
             ..RecordedFace::default()
@@ -365,14 +359,15 @@ fn front(grid: &GelGrid) -> std::ops::Range<usize> {
     x * y * (layers - 1)..x * y * layers
 }
 
-fn push_vector(out: &mut Vec<u8>, v: DVec3) {
-    out.extend(v.to_array().iter().flat_map(|value| value.to_le_bytes()));
+fn push_pose(out: &mut Vec<u8>, pose: &Pose) {
+    let translation = pose.translation_m.to_array();
+    let values = translation.into_iter().chain(pose.rotation.to_array());
+    out.extend(values.flat_map(f64::to_le_bytes));
 }
 
-fn push_pose(out: &mut Vec<u8>, pose: &Pose) {
-    push_vector(out, pose.translation_m);
-    let quaternion = pose.rotation.to_array();
-    out.extend(quaternion.iter().flat_map(|value| value.to_le_bytes()));
+fn push_singles<const N: usize>(out: &mut Vec<u8>, values: [f64; N]) {
+    let singles = values.into_iter().map(|value| value as f32);
+    out.extend(singles.flat_map(f32::to_le_bytes));
 }
 
 /// Appends zigzag LEB128.
@@ -403,19 +398,20 @@ fn take_all<T: Default + Copy, const N: usize>(
     Ok(values)
 }
 
-fn take_vector(input: &mut &[u8]) -> Result<DVec3> {
-    let values = take_all(|| Ok(f64::from_le_bytes(take(input)?)))?;
-    Ok(DVec3::from_array(values))
+fn take_doubles<const N: usize>(input: &mut &[u8]) -> Result<[f64; N]> {
+    take_all(|| Ok(f64::from_le_bytes(take(input)?)))
 }
 
-fn take_pose(input: &mut &[u8]) -> Result<Pose> {
-    let translation = take_vector(input)?;
-    let values = take_all(|| Ok(f64::from_le_bytes(take(input)?)))?;
-    let rotation = DQuat::from_array(values);
-    if !(translation.is_finite() && rotation.is_normalized()) {
+fn take_singles<const N: usize>(input: &mut &[u8]) -> Result<[f64; N]> {
+    take_all(|| Ok(f64::from(f32::from_le_bytes(take(input)?))))
+}
+
+fn pose(translation_m: DVec3, rotation_xyzw: [f64; 4]) -> Result<Pose> {
+    let rotation = DQuat::from_array(rotation_xyzw);
+    if !(translation_m.is_finite() && rotation.is_normalized()) {
         return Err(damaged("a pose is invalid"));
     }
-    Ok(Pose::new(rotation, translation))
+    Ok(Pose::new(rotation, translation_m))
 }
 
 fn take_integer(input: &mut &[u8]) -> Result<i64> {

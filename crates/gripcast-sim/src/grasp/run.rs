@@ -23,7 +23,7 @@ pub(crate) const MIN_CONTACT_FORCE_N: f64 = 1e-3;
 /// Time between the states of the lift that are kept, s: a sensor of 25 frames per second.
 const FRAME_S: f64 = 0.04;
 /// Rise of the gripper up to which states of the lift are kept, m.
-const RECORDED_LIFT_M: f64 = 5e-3;
+const RECORDED_LIFT_M: f64 = 20e-3;
 /// Unconverged steps after which the simulation stops.
 const MAX_UNCONVERGED: usize = 5;
 
