@@ -1,5 +1,5 @@
 # make run    build and open the collect screen on the built-in virtual rig
-# make test   everything: format, lints, unit, integration, crash, real-kernel and Slurm tests
+# make test   everything: format, lints, unit, integration, crash, real-kernel, Slurm and Python tests
 # make deb    a Debian package, target/debian/*.deb
 # make tarball  an archive for other Linux machines, target/tarball/*.tar.gz
 # make docs   the documentation as a book, target/book/html/index.html

@@ -1,6 +1,8 @@
 #!/usr/bin/env bash
-# tools/python.sh [PYTEST ARGUMENT…]: builds the Python package and its tests' environment below
-# ${GRIPCAST_CACHE:-~/.cache/gripcast}, runs the tests and checks the types.
+# tools/python.sh [PYTEST ARGUMENT…]: builds the Python package, runs its tests and checks its types, in
+# an environment below ${GRIPCAST_CACHE:-~/.cache/gripcast} that it makes where it is missing.
+# tools/python.sh install only makes the environment, tools/python.sh path prints its interpreter or
+# fails where it is missing.
 #
 # Everything is built with the profile of cargo's tests; the program, which the tests compare with, too.
 set -euo pipefail
@@ -13,6 +15,10 @@ list=python/tests/requirements.txt
 key=$({ cat "$list" && python3 -c 'import sys; print(sys.version)'; } | sha256sum | cut -c1-12)
 home=${GRIPCAST_CACHE:-$HOME/.cache/gripcast}/python-$key
 python=$home/bin/python
+if [ "${1:-}" = path ]; then
+    [ -e "$home/complete" ] && echo "$python"
+    exit
+fi
 if [ ! -e "$home/complete" ]; then
     echo "python: installing the packages of $list into $home" >&2
     rm -rf "$home"
@@ -20,6 +26,7 @@ if [ ! -e "$home/complete" ]; then
     "$python" -m pip install --quiet --disable-pip-version-check --only-binary :all: -r "$list"
     touch "$home/complete"
 fi
+[ "${1:-}" != install ] || exit 0
 
 target=$(cargo metadata --format-version 1 --no-deps --offline |
     python3 -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])')

@@ -98,9 +98,11 @@ cargo --version >/dev/null || {
 }
 
 # Without them their tests are skipped; GRIPCAST_REQUIRE_PYTHON=1 makes that an error.
-if [ "$want" = test ] && [ -z "${GRIPCAST_PYTHON:-}" ]; then
-    tools/peers.sh install || {
-        echo "SKIPPED: no Python libraries (network?); the tests with them will be skipped" >&2
-        [ -z "${GRIPCAST_REQUIRE_PYTHON:-}" ]
-    }
+without_python() {
+    echo "SKIPPED: no Python libraries (network?); the tests $1 will be skipped" >&2
+    [ -z "${GRIPCAST_REQUIRE_PYTHON:-}" ]
+}
+if [ "$want" = test ]; then
+    [ -n "${GRIPCAST_PYTHON:-}" ] || tools/peers.sh install || without_python "with them"
+    tools/python.sh install || without_python "of the Python package"
 fi
