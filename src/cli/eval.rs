@@ -168,10 +168,11 @@ fn in_the_lift(model: &ModelEvaluation) -> Vec<String> {
         return Vec::new();
     };
     let [lifts, slips] = lift.lifts;
-    let mut lines: Vec<String> = lift
-        .points
-        .iter()
-        .map(|point| {
+    // Every image of the first 5 mm, then every fifth.
+    let shown = lift.points.iter().enumerate();
+    let mut lines: Vec<String> = shown
+        .filter(|(image, _)| *image < 6 || image % 5 == 4)
+        .map(|(_, point)| {
             format!(
                 "{} after {:.1} mm of lift: AUROC {}, balanced accuracy {}",
                 model.file,
@@ -182,10 +183,13 @@ fn in_the_lift(model: &ModelEvaluation) -> Vec<String> {
         })
         .collect();
     lines.push(format!(
-        "{} alarm: {} of the held lifts, {} of the slips 80 ms ahead ({lifts} lifts, {slips} slips)",
+        "{} alarm: {} of the held lifts, {} of the slips, {} 80 ms ahead; {} lose contact in the first \
+         80 ms ({lifts} lifts, {slips} slips)",
         model.file,
         interval(lift.alarmed_held),
+        interval(lift.alarmed_slips_any),
         interval(lift.alarmed_slips),
+        interval(lift.lost_at_once),
     ));
     lines
 }

@@ -22,10 +22,10 @@ use super::{Context, print_report};
 use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular, save};
-use gripcast_imaging::{CropProfile, Decoder, DepthView, decode_png_grey16};
+use gripcast_imaging::{CropProfile, Decoder, Depth, DepthView, decode_png_grey16};
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Modality, Origin};
 use gripcast_nn::predict::{
-    Depth, GraspPrediction, InputImages, Model, ModelContract, PredictedLabel, SHIPPED, baseline,
+    GraspPrediction, InputImages, Model, ModelContract, PredictedLabel, SHIPPED, baseline,
 };
 
 /// Arguments.

@@ -9,8 +9,7 @@ use super::hub::{CameraSlot, Hub};
 use super::infer::InferRequest;
 use super::tasks::{Heartbeat, Tasks};
 use gripcast_base::error::Result;
-use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, Role};
-use gripcast_nn::predict::Depth;
+use gripcast_imaging::{CropProfile, Decoder, Depth, Frame, PixelFormat, Role};
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
 
 /// Wait for a frame before the decoder checks whether the hub is closed.

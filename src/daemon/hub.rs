@@ -13,8 +13,7 @@ use super::thread::{lock, wait_while};
 use gripcast_capture::camera::{
     CameraCounters, CameraState, ControlValues, FrameQuality, Health, StreamInfo,
 };
-use gripcast_imaging::{Frame, PixelFormat, Role};
-use gripcast_nn::predict::Depth;
+use gripcast_imaging::{Depth, Frame, PixelFormat, Role};
 
 /// Frames kept per camera: 0.3 s at 25/s, enough to pair cameras of different frame rates.
 const RING_FRAMES: usize = 8;

@@ -26,9 +26,9 @@ use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_dataset::PredictionRecord;
-use gripcast_imaging::{DepthView, GelChange, GelState, Role, TactileDifference};
+use gripcast_imaging::{Depth, DepthView, GelChange, GelState, Role, TactileDifference};
 use gripcast_nn::predict::{
-    Adaptation, ConformalLimits, Depth, LivePrediction, LivePredictor, Model, Smoothing,
+    Adaptation, ConformalLimits, LivePrediction, LivePredictor, Model, Smoothing,
 };
 use gripcast_shear::{FingerForce, GelMotion, MarkerField, ShearFrame};
 

@@ -24,8 +24,7 @@ use gripcast_dataset::{
     BoardKeys, Dataset, DatasetWriter, FieldArray, GraspId, GraspMeta, LiftVerdict, PendingInitial,
     PredictionRecord, Stage, StageCapture,
 };
-use gripcast_imaging::{CropProfile, Decoder, Frame, FrameDamage, Role};
-use gripcast_nn::predict::Depth;
+use gripcast_imaging::{CropProfile, Decoder, Depth, Frame, FrameDamage, Role};
 use gripcast_session::{Labels, PendingFrame, StoreReply, StoreRequest};
 use gripcast_shear::ShearFrame;
 

@@ -7,30 +7,6 @@ use super::frame::{Frame, PixelFormat};
 /// Depth in units of the camera; 0: unknown.
 pub type DepthImage = ImageBuffer<Luma<u16>, Vec<u16>>;
 
-/// Camera whose view a depth image shows.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum DepthView {
-    /// The colour camera: the depth image is aligned to the colour image.
-    #[default]
-    Colour,
-    /// The left imager of a RealSense D435, whose depth images are as it streams them.
-    LeftImager,
-}
-
-impl DepthView {
-    /// All views.
-    pub const ALL: [Self; 2] = [Self::Colour, Self::LeftImager];
-
-    /// Name on the command line and in Python.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Colour => "colour",
-            Self::LeftImager => "left-imager",
-        }
-    }
-}
-
 /// Little-endian bytes to values; drops an odd byte at the end.
 pub(super) fn values(bytes: &[u8]) -> Vec<u16> {
     bytes

@@ -6,9 +6,9 @@ use crate::from_onnx;
 use crate::predict::contract::{
     GEOMETRY_UNIT_M, InputSpec, Modality, Origin, OutputSpec, RgbNormalisation,
 };
-use crate::predict::{Depth, Model, ModelInput, PointMap, SHIPPED, model_bytes, onnx};
+use crate::predict::{Model, ModelInput, PointMap, SHIPPED, model_bytes, onnx};
 use gripcast_base::random::SeedStream;
-use gripcast_imaging::DepthView;
+use gripcast_imaging::{Depth, DepthView};
 
 fn contract(architecture: &Architecture, modality: Modality, temperature: f64) -> ModelContract {
     let heads = architecture.heads(modality).into_iter().skip(1).enumerate();

@@ -12,7 +12,7 @@ use super::predictor::Prediction;
 use super::work::detached;
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_dataset::{Dataset, GraspRecord, MARKERS, Stage};
-use gripcast_imaging::{Decoder, Role, TactileDifference};
+use gripcast_imaging::{Decoder, DepthView, Role, TactileDifference};
 use gripcast_nn::predict::PredictedLabel;
 
 /// A grasp of a dataset. Images are decoded when they are asked for.
@@ -184,6 +184,15 @@ impl Grasp {
             Ok((metres.collect::<Vec<f32>>(), shape))
         })?;
         Ok(array(py, values, &shape)?)
+    }
+
+    /// Camera whose view the depth image shows, as `Predictor.predict` takes it: "colour", aligned to
+    /// the colour image, or "left-imager", that of a D435; None without depth or for another camera.
+    #[getter]
+    fn depth_view(&self) -> Option<&'static str> {
+        let camera = self.record.grasp.cameras.get(&Role::Depth)?;
+        let view = DepthView::of_camera(self.record.is_simulated(), &camera.product);
+        view.map(DepthView::name)
     }
 
     /// The image of a gel (left or right), cropped as models see it: 240 × 320 × 3, uint8, RGB.

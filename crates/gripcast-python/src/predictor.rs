@@ -10,9 +10,9 @@ use super::arrays::{depth_counts, image};
 use super::failure::Outcome;
 use super::work::{detached, interruptible, pool};
 use gripcast_base::error::{Error, Result};
-use gripcast_imaging::{CropProfile, DepthView, crop_and_resize};
+use gripcast_imaging::{CropProfile, Depth, DepthView, crop_and_resize};
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName};
-use gripcast_nn::predict::{Depth, InputImages, Model, SHIPPED};
+use gripcast_nn::predict::{InputImages, Model, SHIPPED};
 
 /// Images of the left and the right gel.
 type Pair<'py> = [Bound<'py, PyAny>; 2];

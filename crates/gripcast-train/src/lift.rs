@@ -291,6 +291,10 @@ pub struct LiftEvaluation {
     /// Fraction of slips that give an alarm at least 80 ms before a finger loses contact, or within
     /// the images where none does.
     pub alarmed_slips: Option<Interval>,
+    /// Fraction of slips that give an alarm at all.
+    pub alarmed_slips_any: Option<Interval>,
+    /// Fraction of slips that lose contact in the first 80 ms, where no alarm can be 80 ms ahead.
+    pub lost_at_once: Option<Interval>,
 }
 
 impl LiftEvaluation {
@@ -328,15 +332,20 @@ impl LiftEvaluation {
                     .interval(&objects, |times| metrics.balanced_accuracy(times)),
             }
         };
-        let alarm = |(_, motion, p): &(&SampleFacts, &LiftMotion, Vec<f64>)| {
-            let last = loss(motion).map_or(p.len(), |image| image.saturating_sub(LEAD));
-            p.iter().take(last).any(|p| *p < head.alarm)
+        type Lift<'a> = (&'a SampleFacts, &'a LiftMotion, Vec<f64>);
+        let is_alarmed = |p: &[f64]| p.iter().any(|p| *p < head.alarm);
+        let is_alarmed_ahead = |(_, motion, p): &Lift<'_>| {
+            let images = loss(motion).map_or(p.len(), |image| image.saturating_sub(LEAD));
+            is_alarmed(&p[..images.min(p.len())])
         };
-        let fraction = |label: bool| {
+        let is_alarmed_at_all = |(_, _, p): &Lift<'_>| is_alarmed(p);
+        let is_lost_at_once =
+            |(_, motion, _): &Lift<'_>| loss(motion).is_some_and(|image| image <= LEAD);
+        let fraction = |label: bool, holds: &dyn Fn(&Lift<'_>) -> bool| {
             let values: Vec<f64> = lifts
                 .iter()
                 .map(|lift| match lift.0.is_stable == label {
-                    true => f64::from(u8::from(alarm(lift))),
+                    true => f64::from(u8::from(holds(lift))),
                     false => f64::NAN,
                 })
                 .collect();
@@ -353,8 +362,10 @@ impl LiftEvaluation {
                     .count(),
             ],
             points: (0..longest).map(point).collect(),
-            alarmed_held: fraction(true),
-            alarmed_slips: fraction(false),
+            alarmed_held: fraction(true, &is_alarmed_at_all),
+            alarmed_slips: fraction(false, &is_alarmed_ahead),
+            alarmed_slips_any: fraction(false, &is_alarmed_at_all),
+            lost_at_once: fraction(false, &is_lost_at_once),
         })
     }
 }

@@ -63,6 +63,8 @@ fn verdict_improves_in_the_lift_and_warns_of_losses() {
     assert!((found.points[1].lifted_m - 1.6e-3).abs() < 1e-12);
     assert!(found.alarmed_held.unwrap().estimate < 0.15);
     assert!(found.alarmed_slips.unwrap().estimate > 0.8);
+    assert!(found.alarmed_slips_any.unwrap().estimate >= found.alarmed_slips.unwrap().estimate);
+    assert_eq!(found.lost_at_once.unwrap().estimate, 0.0);
 }
 
 #[test]

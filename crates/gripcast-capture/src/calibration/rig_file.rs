@@ -168,19 +168,13 @@ impl CameraConfig {
 }
 
 impl RigFile {
-    /// Camera whose view the depth images show: those of the virtual rig are aligned to its colour
-    /// images, those of a D435 are seen from its left imager. None without a depth camera or for
-    /// one of another product, whose lenses are not known.
+    /// Camera whose view the depth images show ([`DepthView::of_camera`]); none without a depth
+    /// camera or for one of an unknown product.
     #[must_use]
     pub fn depth_view(&self) -> Option<DepthView> {
         let camera = self.cameras.get(&Role::Depth)?;
-        match camera.source {
-            SourceKind::Virtual => Some(DepthView::Colour),
-            _ => camera
-                .product
-                .contains("435")
-                .then_some(DepthView::LeftImager),
-        }
+        let is_virtual = matches!(camera.source, SourceKind::Virtual);
+        DepthView::of_camera(is_virtual, &camera.product)
     }
 
     /// The built-in rig: two simulated tactile sensors, colour and depth.

@@ -527,6 +527,35 @@ fn training_sample_has_the_pixels_of_the_live_path() {
     assert_ne!(bottle.images.initial_left, bottle.images.grasp_left);
     let colour = decoder.stored_image(&bottle.images.grasp_rgb).unwrap();
     assert_eq!(colour.dimensions(), (320, 240));
+    assert_eq!(mug.images.grasp_depth, None, "the lenses are unknown");
+}
+
+#[test]
+fn depth_of_a_d435_is_in_training_samples_as_the_colour_image_shows_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut writer, _) =
+        DatasetWriter::open_or_create(dir.path().join("d"), &new_dataset()).unwrap();
+    let mut stages = [capture(1), capture(2)];
+    for stage in &mut stages {
+        let depth = stage.cameras.get_mut(&Role::Depth).unwrap();
+        depth.product = "Intel(R) RealSense(TM) Depth Camera 435".into();
+        // A wall at 150 mm.
+        depth.depth_unit_m = Some(5e-4);
+        depth.frame.data = [44, 1].repeat(16 * 8).into();
+    }
+    let pending = writer.save_initial(&stages[0], Vec::new()).unwrap();
+    let saved = writer.save_grasp(&pending, &stages[1], meta("mug"));
+    let at = "2026-11-20T11:00:00Z".parse().unwrap();
+    let id = saved.unwrap().id;
+    writer.set_outcome(&id, Outcome::Slip, at, None).unwrap();
+    drop(writer);
+    let out = dir.path().join("out");
+    run(dir.path(), &out, &ExportPlan::new(ExportFormat::Training)).unwrap();
+    let set = ShardSet::open(&out).unwrap();
+    let row = set.rows("test").unwrap().next().unwrap().unwrap();
+    let depth = decode_png_grey16(&row.images.grasp_depth.unwrap()).unwrap();
+    assert_eq!(depth.dimensions(), (320, 240));
+    assert!(depth.iter().all(|count| *count == 150), "the whole wall");
 }
 
 #[test]

@@ -16,7 +16,11 @@ use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter,
 };
 use gripcast_dataset::{GraspRecord, GroupKey, Outcome, Stage};
-use gripcast_imaging::{CropProfile, Decoder, Role, encode_png_rgb};
+use gripcast_geometry::WristCamera;
+use gripcast_imaging::{
+    ColourView, CropProfile, Decoder, Depth, DepthImage, DepthView, Role, decode_png_grey16,
+    encode_png_grey16, encode_png_rgb,
+};
 
 /// Depth of one count in shards, m.
 const DEPTH_UNIT_M: f64 = 1e-3;
@@ -100,7 +104,7 @@ impl<'a> TrainingShards<'a> {
                 true => Some(image(Stage::Initial, Role::Rgb)?),
                 false => None,
             },
-            grasp_depth: aligned_depth(grasp),
+            grasp_depth: aligned_depth(grasp)?,
         };
         Ok(ShardRow {
             facts: facts(record, outcome, self.crop)?,
@@ -163,14 +167,36 @@ impl Writer for TrainingShards<'_> {
     }
 }
 
-/// Depth image in the grasp, mm, where it is aligned to the colour image: that of a virtual rig. Those
-/// of a D435 are seen from its left imager.
-fn aligned_depth(grasp: &Grasp) -> Option<Vec<u8>> {
-    let camera = grasp.record.grasp.cameras.get(&Role::Depth)?;
-    let is_mm = camera.depth_unit_m == Some(DEPTH_UNIT_M);
+/// Depth image in the grasp as the colour image shows it, mm, PNG; none without one, or of a camera
+/// whose lenses are not known.
+fn aligned_depth(grasp: &Grasp) -> Result<Option<Vec<u8>>> {
+    let camera = grasp.record.grasp.cameras.get(&Role::Depth);
     let image = grasp.images.get(&(Stage::Grasp, Role::Depth));
-    let image = image.filter(|_| is_mm && grasp.record.is_simulated())?;
-    Some(image.bytes.to_vec())
+    let (Some(camera), Some(image)) = (camera, image) else {
+        return Ok(None);
+    };
+    let view = DepthView::of_camera(grasp.record.is_simulated(), &camera.product);
+    let (Some(view), Some(unit_m)) = (view, camera.depth_unit_m) else {
+        return Ok(None);
+    };
+    let image = decode_png_grey16(&image.bytes).map_err(|e| e.at("grasp depth"))?;
+    let (width, height) = SIZE;
+    let [columns, rows] = [width, height].map(|side| side as usize);
+    let [depth_columns, depth_rows] = [image.width(), image.height()].map(|side| side as usize);
+    let colour = ColourView {
+        width: columns,
+        height: rows,
+        focal_px: WristCamera::focal_px(columns, rows),
+        depth_focal_px: WristCamera::depth_focal_px(depth_columns, depth_rows),
+        left_imager_m: WristCamera::LEFT_IMAGER_M,
+    };
+    let depths_m = Depth { image, unit_m }.in_colour_image(view, &colour);
+    let counts = depths_m.iter().map(|z| (z / DEPTH_UNIT_M).round());
+    // Beyond the range of 16 bits a depth is unknown.
+    let counts = counts.map(|z| if z < f64::from(u16::MAX) { z as u16 } else { 0 });
+    let aligned = DepthImage::from_vec(width, height, counts.collect())
+        .ok_or_else(|| Error::internal("a depth image has another number of pixels"))?;
+    encode_png_grey16(&aligned).map(Some)
 }
 
 fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<ShardFacts> {

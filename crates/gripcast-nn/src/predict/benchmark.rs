@@ -8,9 +8,9 @@ use serde::Serialize;
 use super::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName};
 use super::engine::Model;
 use super::input::ModelInput;
-use super::points::{Depth, PointMap};
+use super::points::PointMap;
 use gripcast_base::error::Result;
-use gripcast_imaging::{DepthImage, DepthView, TactileDifference};
+use gripcast_imaging::{Depth, DepthImage, DepthView, TactileDifference};
 
 /// Number of loads per measurement.
 const LOADS: usize = 5;

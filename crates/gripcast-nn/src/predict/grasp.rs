@@ -6,9 +6,9 @@ use super::contract::InputName;
 use super::engine::{Model, Prediction};
 use super::input::ModelInput;
 use super::label::{PredictedLabel, contact_doubt};
-use super::points::{Depth, PointMap};
+use super::points::PointMap;
 use gripcast_base::error::Result;
-use gripcast_imaging::{DepthView, GelCells, GelChange, TactileDifference};
+use gripcast_imaging::{Depth, DepthView, GelCells, GelChange, TactileDifference};
 
 /// Images for one input of a model, cropped and at the model's size.
 #[derive(Clone, Debug)]

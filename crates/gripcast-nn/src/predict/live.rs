@@ -7,10 +7,10 @@ use image::RgbImage;
 use super::contract::{InputName, Modality};
 use super::engine::Model;
 use super::input::ModelInput;
-use super::points::{Depth, PointMap};
+use super::points::PointMap;
 use gripcast_base::error::Result;
 use gripcast_geometry::GraspGeometry;
-use gripcast_imaging::{DepthView, Role, TactileDifference};
+use gripcast_imaging::{Depth, DepthView, Role, TactileDifference};
 
 /// A model with the initial images and the newest image of each role.
 ///

@@ -41,5 +41,5 @@ pub use label::{PredictedLabel, contact_doubt};
 pub use lift::{LiftHead, LiftVerdict};
 pub use live::{LivePrediction, LivePredictor};
 pub use ood::OodDetector;
-pub use points::{Depth, PointMap};
+pub use points::PointMap;
 pub use smoothing::Smoothing;

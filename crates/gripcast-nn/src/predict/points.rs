@@ -1,7 +1,7 @@
 //! Depth images as points in the gripper frame.
 
 use gripcast_geometry::WristCamera;
-use gripcast_imaging::{DepthImage, DepthView};
+use gripcast_imaging::{ColourView, Depth, DepthView};
 
 use super::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
 
@@ -15,75 +15,6 @@ const UNIT_M: f64 = 0.1;
 const NEAR_M: f64 = 0.2;
 /// Maximum |x| and |y|, units: the background is of no interest.
 const MAX: f64 = 2.0;
-/// Code of a depth beyond the range of the camera.
-const OUT_OF_RANGE: u16 = u16::MAX;
-
-/// A depth image.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Depth {
-    /// Depth codes; 0 and 65,535 are unknown.
-    pub image: DepthImage,
-    /// Depth of one code, m.
-    pub unit_m: f64,
-}
-
-impl Depth {
-    /// Depth of a code, m; none if it is unknown.
-    fn depth_m(&self, code: u16) -> Option<f64> {
-        let z = f64::from(code) * self.unit_m;
-        (!matches!(code, 0 | OUT_OF_RANGE) && z > 0.0).then_some(z)
-    }
-
-    /// Depths (m, 0: unknown) of the centre crop of 4:3 of an image that is aligned to the colour
-    /// image. They are those of the nearest pixels, as mixing depths across an edge would make
-    /// points that do not exist.
-    fn cropped(&self) -> Vec<f64> {
-        let (width, height) = self.image.dimensions();
-        let scale = (f64::from(width) / WIDTH as f64).min(f64::from(height) / HEIGHT as f64);
-        let nearest = |side: u32, all: usize, at: usize| {
-            let position = 0.5 * f64::from(side) + (at as f64 + 0.5 - 0.5 * all as f64) * scale;
-            (position as u32).min(side - 1)
-        };
-        let columns: Vec<u32> = (0..WIDTH).map(|x| nearest(width, WIDTH, x)).collect();
-        let rows = (0..HEIGHT).map(|y| nearest(height, HEIGHT, y));
-        let pixels = rows.flat_map(|row| columns.iter().map(move |column| (*column, row)));
-        let depths = pixels.map(|(x, y)| self.depth_m(self.image.get_pixel(x, y)[0]));
-        depths.map(Option::unwrap_or_default).collect()
-    }
-
-    /// Depths (m, 0: unknown) in the colour image of an image of the left imager, whose optical
-    /// axes are parallel to those of the colour camera; the nearest surface of each pixel.
-    fn seen_from_colour_camera(&self) -> Vec<f64> {
-        let (width, height) = self.image.dimensions();
-        let from = WristCamera::depth_focal_px(width as usize, height as usize);
-        let to = WristCamera::focal_px(WIDTH, HEIGHT);
-        let middle = [width, height].map(|side| 0.5 * (f64::from(side) - 1.0));
-        // Half a pixel of the depth image in the colour image, and at least half of one there.
-        let reach = 0.5 * (to / from).max(1.0);
-        let covered = |at: f64, count: usize| {
-            let [first, end] = [(at - reach).ceil(), (at + reach).floor() + 1.0];
-            first.max(0.0) as usize..end.clamp(0.0, count as f64) as usize
-        };
-        let mut depths = vec![0.0; WIDTH * HEIGHT];
-        for (x, y, code) in self.image.enumerate_pixels() {
-            let Some(z) = self.depth_m(code[0]) else {
-                continue;
-            };
-            let [u, v] = [(x, middle[0]), (y, middle[1])].map(|(at, m)| (f64::from(at) - m) / from);
-            let column = CENTRE[0] + to * (u + WristCamera::LEFT_IMAGER_M / z);
-            for row in covered(CENTRE[1] + to * v, HEIGHT) {
-                for column in covered(column, WIDTH) {
-                    let depth = &mut depths[row * WIDTH + column];
-                    if *depth == 0.0 || z < *depth {
-                        *depth = z;
-                    }
-                }
-            }
-        }
-        depths
-    }
-}
-
 /// Points of a depth image: x and y in the gripper frame and the inverse depth of each pixel of a
 /// 320×240 image of the [`WristCamera`] at its nominal mount, row-major; zeros without depth.
 #[derive(Clone, Debug)]
@@ -94,16 +25,17 @@ impl PointMap {
     /// camera by the nominal lenses and distance (D400 series data sheet).
     pub fn new(depth: &Depth, view: DepthView) -> Self {
         let (width, height) = depth.image.dimensions();
-        if width == 0 || height == 0 {
-            return Self(vec![[0.0; 3]; WIDTH * HEIGHT]);
-        }
-        let depths_m = match view {
-            DepthView::Colour => depth.cropped(),
-            DepthView::LeftImager => depth.seen_from_colour_camera(),
+        let focal = WristCamera::focal_px(WIDTH, HEIGHT);
+        let colour = ColourView {
+            width: WIDTH,
+            height: HEIGHT,
+            focal_px: focal,
+            depth_focal_px: WristCamera::depth_focal_px(width as usize, height as usize),
+            left_imager_m: WristCamera::LEFT_IMAGER_M,
         };
+        let depths_m = depth.in_colour_image(view, &colour);
         let pose = WristCamera::t_gripper_camera();
         let rotation = pose.rotation_matrix();
-        let focal = WristCamera::focal_px(WIDTH, HEIGHT);
         let points = depths_m.iter().enumerate().map(|(pixel, z)| {
             if *z <= 0.0 {
                 return [0.0; 3];
@@ -138,6 +70,7 @@ impl PointMap {
 
 #[cfg(test)]
 mod tests {
+    use gripcast_imaging::DepthImage;
     use image::Luma;
 
     use super::*;

@@ -1,0 +1,176 @@
+//! Depth images of the camera between the fingers, and their view from its colour camera.
+
+use image::Luma;
+
+use super::z16::DepthImage;
+
+/// Code of a depth beyond the range of the camera.
+const OUT_OF_RANGE: u16 = u16::MAX;
+
+/// Camera whose view a depth image shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DepthView {
+    /// The colour camera: the depth image is aligned to the colour image.
+    #[default]
+    Colour,
+    /// The left imager of a RealSense D435, whose depth images are as it streams them.
+    LeftImager,
+}
+
+impl DepthView {
+    /// All views.
+    pub const ALL: [Self; 2] = [Self::Colour, Self::LeftImager];
+
+    /// Name on the command line and in Python.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Colour => "colour",
+            Self::LeftImager => "left-imager",
+        }
+    }
+
+    /// View of a depth camera: images of a virtual rig are aligned to its colour images, those of a
+    /// D435 are seen from its left imager. None for another USB product, whose lenses are not known.
+    #[must_use]
+    pub fn of_camera(is_virtual: bool, product: &str) -> Option<Self> {
+        if is_virtual {
+            return Some(Self::Colour);
+        }
+        product.contains("435").then_some(Self::LeftImager)
+    }
+}
+
+/// The colour image that depths are wanted in, and the lenses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ColourView {
+    /// Width of the colour image, px.
+    pub width: usize,
+    /// Height of the colour image, px.
+    pub height: usize,
+    /// Focal length of the colour image, px.
+    pub focal_px: f64,
+    /// Focal length of the depth image, px.
+    pub depth_focal_px: f64,
+    /// Offset of the left imager to the right of the colour camera, m.
+    pub left_imager_m: f64,
+}
+
+/// A depth image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Depth {
+    /// Depth codes; 0 and 65,535 are unknown.
+    pub image: DepthImage,
+    /// Depth of one code, m.
+    pub unit_m: f64,
+}
+
+impl Depth {
+    /// Depth of each pixel of the colour image, m, row-major; 0 is unknown.
+    ///
+    /// An aligned image is cropped to the aspect ratio of the colour image. Depths are those of the
+    /// nearest pixels, as mixing depths across an edge would make points that do not exist. An image
+    /// of the left imager, whose optical axes are parallel to those of the colour camera, is
+    /// projected; the nearest surface hides others.
+    #[must_use]
+    pub fn in_colour_image(&self, view: DepthView, colour: &ColourView) -> Vec<f64> {
+        let (width, height) = self.image.dimensions();
+        if width == 0 || height == 0 {
+            return vec![0.0; colour.width * colour.height];
+        }
+        match view {
+            DepthView::Colour => self.cropped(colour),
+            DepthView::LeftImager => self.projected(colour),
+        }
+    }
+
+    /// Depth of a code, m; none if it is unknown.
+    fn depth_m(&self, code: u16) -> Option<f64> {
+        let z = f64::from(code) * self.unit_m;
+        (!matches!(code, 0 | OUT_OF_RANGE) && z > 0.0).then_some(z)
+    }
+
+    fn cropped(&self, colour: &ColourView) -> Vec<f64> {
+        let (width, height) = self.image.dimensions();
+        let [x_scale, y_scale] = [(width, colour.width), (height, colour.height)]
+            .map(|(side, wanted)| f64::from(side) / wanted as f64);
+        let scale = x_scale.min(y_scale);
+        let nearest = |side: u32, all: usize, at: usize| {
+            let position = 0.5 * f64::from(side) + (at as f64 + 0.5 - 0.5 * all as f64) * scale;
+            (position as u32).min(side - 1)
+        };
+        let columns = 0..colour.width;
+        let columns: Vec<u32> = columns.map(|x| nearest(width, colour.width, x)).collect();
+        let rows = (0..colour.height).map(|y| nearest(height, colour.height, y));
+        let pixels = rows.flat_map(|row| columns.iter().map(move |column| (*column, row)));
+        let depths = pixels.map(|(x, y)| self.depth_m(self.image.get_pixel(x, y)[0]));
+        depths.map(Option::unwrap_or_default).collect()
+    }
+
+    fn projected(&self, colour: &ColourView) -> Vec<f64> {
+        let (width, height) = self.image.dimensions();
+        let (from, to) = (colour.depth_focal_px, colour.focal_px);
+        let middle = [width, height].map(|side| 0.5 * (f64::from(side) - 1.0));
+        let centre = [colour.width, colour.height].map(|side| 0.5 * (side as f64 - 1.0));
+        // Half a pixel of the depth image in the colour image, and at least half of one there.
+        let reach = 0.5 * (to / from).max(1.0);
+        let covered = |at: f64, count: usize| {
+            let [first, end] = [(at - reach).ceil(), (at + reach).floor() + 1.0];
+            first.max(0.0) as usize..end.clamp(0.0, count as f64) as usize
+        };
+        let mut depths = vec![0.0; colour.width * colour.height];
+        for (x, y, Luma([code])) in self.image.enumerate_pixels() {
+            let Some(z) = self.depth_m(*code) else {
+                continue;
+            };
+            let [u, v] = [(x, middle[0]), (y, middle[1])].map(|(at, m)| (f64::from(at) - m) / from);
+            let column = centre[0] + to * (u + colour.left_imager_m / z);
+            for row in covered(centre[1] + to * v, colour.height) {
+                for column in covered(column, colour.width) {
+                    let depth = &mut depths[row * colour.width + column];
+                    if *depth == 0.0 || z < *depth {
+                        *depth = z;
+                    }
+                }
+            }
+        }
+        depths
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn view_follows_from_camera() {
+        let view = DepthView::of_camera;
+        let d435 = "Intel(R) RealSense(TM) Depth Camera 435";
+        assert_eq!(view(true, d435), Some(DepthView::Colour));
+        assert_eq!(view(false, d435), Some(DepthView::LeftImager));
+        assert_eq!(view(false, "Intel(R) RealSense(TM) Depth Camera 455"), None);
+        assert_eq!(view(false, ""), None);
+    }
+
+    #[test]
+    fn point_moves_by_its_disparity_and_the_nearest_is_seen() {
+        let mut image = DepthImage::new(64, 48);
+        for (x, code) in [(20, 100), (26, 400)] {
+            image.put_pixel(x, 24, Luma([code]));
+        }
+        let depth = Depth { image, unit_m: 1e-3 };
+        let colour = ColourView {
+            width: 64,
+            height: 48,
+            focal_px: 50.0,
+            depth_focal_px: 50.0,
+            left_imager_m: 0.016,
+        };
+        // Disparities of 8 and 2 px.
+        let found = depth.in_colour_image(DepthView::LeftImager, &colour);
+        assert_eq!(found[24 * 64 + 28], 0.1);
+        assert_eq!(found.iter().filter(|z| **z > 0.0).count(), 1);
+        let aligned = depth.in_colour_image(DepthView::Colour, &colour);
+        assert_eq!([aligned[24 * 64 + 20], aligned[24 * 64 + 26]], [0.1, 0.4]);
+    }
+}
