@@ -581,6 +581,17 @@ class Prediction:
     def model(self) -> str: ...
     @property
     def model_sha256(self) -> str: ...
+    @property
+    def lift(self) -> list[LiftVerdict] | None: ...
+
+@final
+class LiftVerdict:
+    @property
+    def p_stable(self) -> float: ...
+    @property
+    def is_stable(self) -> bool: ...
+    @property
+    def is_slipping(self) -> bool: ...
 
 @final
 class Predictor:
@@ -591,9 +602,11 @@ class Predictor:
         grasp: Sequence[_Image] | None = None,
         rgb: _Image | None = None,
         depth: _Depth | None = None,
+        lift: Sequence[Sequence[_Image]] | None = None,
         *,
         depth_view: Literal["colour", "left-imager"] = "colour",
         crop: str | None = None,
+        profile: SensorProfile | _Path | None = None,
     ) -> Prediction: ...
     @property
     def name(self) -> str: ...

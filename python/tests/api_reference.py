@@ -36,7 +36,7 @@ GROUPS = {
         "PressResult",
     ],
     "Rendering": ["render_tactile", "render_visual", "SensorProfile", "SensorFit", "TactileImage", "VisualImage"],
-    "Prediction": ["Predictor", "Prediction"],
+    "Prediction": ["Predictor", "Prediction", "LiftVerdict"],
     "Gel markers": ["track_markers", "MarkerTrack"],
     "Marker boards": ["detect_markers", "solve_pose", "Board", "BoardPose", "Marker", "Intrinsics"],
     "Datasets": ["Dataset", "Grasp", "VerifyReport", "Problem"],

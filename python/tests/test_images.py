@@ -107,6 +107,27 @@ def test_prediction_is_that_of_the_program(touch: Any, cli: Cli, tmp_path: Path,
     assert again.p_stable == ours.p_stable
 
 
+def test_lift_is_judged_image_by_image(touch: Any) -> None:
+    initial, grasp = touch
+    predictor = gc.Predictor()
+    assert predictor.predict(initial, grasp).lift is None
+    assert predictor.predict(initial, grasp, lift=[]).lift == []
+    lift = [grasp, grasp, initial, initial]
+    found = predictor.predict(initial, grasp, lift=lift, profile="gelsight-mini").lift
+    assert found is not None and len(found) == 4
+    held, lost = found[0], found[3]
+    assert not held.is_slipping and lost.is_slipping and not lost.is_stable
+    assert lost.p_stable < held.p_stable <= 1.0
+    large = np.repeat(np.repeat(grasp[0], 2, axis=0), 2, axis=1)
+    with pytest.raises(gc.InputError, match=r"`lift\[1\]\[0\]` must be cropped"):
+        predictor.predict(initial, grasp, lift=[grasp, (large, large)])
+    with pytest.raises(gc.UsageError, match="`initial`"):
+        predictor.predict(rgb=colour(), lift=[grasp])
+    with pytest.raises(gc.InputError, match="no verdict in the lift") as caught:
+        gc.Predictor("baseline-contact").predict(initial, grasp, lift=[grasp])
+    assert "gripcast-vt" in str(caught.value.remedy)
+
+
 def test_frames_of_a_camera_need_a_crop(touch: Any) -> None:
     predictor = gc.Predictor("baseline-contact")
     large = np.zeros((480, 640, 3), np.uint8)

@@ -31,6 +31,7 @@ mod imaging;
 mod import_videos;
 mod json_schema;
 mod kernel;
+mod lift_films;
 mod model_contract;
 mod names;
 mod packaging;

@@ -158,7 +158,10 @@ mod tests {
         for (x, code) in [(20, 100), (26, 400)] {
             image.put_pixel(x, 24, Luma([code]));
         }
-        let depth = Depth { image, unit_m: 1e-3 };
+        let depth = Depth {
+            image,
+            unit_m: 1e-3,
+        };
         let colour = ColourView {
             width: 64,
             height: 48,

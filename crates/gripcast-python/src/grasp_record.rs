@@ -122,6 +122,7 @@ impl Grasp {
             engine_ms: prediction.engine_ms,
             model: prediction.model.clone(),
             model_sha256: prediction.model_sha256.clone(),
+            lift: None,
         })
     }
 

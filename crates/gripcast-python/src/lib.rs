@@ -53,7 +53,7 @@ mod _native {
     #[pymodule_export]
     use crate::pose::Pose;
     #[pymodule_export]
-    use crate::predictor::{Prediction, Predictor};
+    use crate::predictor::{LiftVerdict, Prediction, Predictor};
     #[pymodule_export]
     use crate::press::{PressResult, press};
     #[pymodule_export]

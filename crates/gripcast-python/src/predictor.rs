@@ -8,11 +8,14 @@ use pyo3::prelude::*;
 
 use super::arrays::{depth_counts, image};
 use super::failure::Outcome;
+use super::sensor::profile as named_profile;
 use super::work::{detached, interruptible, pool};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{CropProfile, Depth, DepthView, crop_and_resize};
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName};
-use gripcast_nn::predict::{InputImages, Model, SHIPPED};
+use gripcast_nn::predict::{InputImages, Model, SHIPPED, lift};
+use gripcast_shear::{ExpectedMarkers, USUAL_M_PER_PX};
+use gripcast_tactile::SensorProfile;
 
 /// Images of the left and the right gel.
 type Pair<'py> = [Bound<'py, PyAny>; 2];
@@ -51,8 +54,15 @@ impl Predictor {
     /// images are cropped already and of 320 × 240 pixels, as those of `Grasp.tactile_image` and
     /// `render_tactile`, unless `crop` names a crop profile (`Predictor.crop_profile` for frames of a
     /// camera, `full-v1` for none).
+    ///
+    /// `lift` are the images (left, right) of the gels after `grasp`, in order and about 40 ms apart;
+    /// `Prediction.lift` has the verdict on each. `profile` (a `SensorProfile`, a name or a file) is the
+    /// sensor of these images, with their scale and gel markers; without it the images decide.
     #[allow(clippy::too_many_arguments)]
-    #[pyo3(signature = (initial = None, grasp = None, rgb = None, depth = None, *, depth_view = "colour", crop = None))]
+    #[pyo3(signature = (
+        initial = None, grasp = None, rgb = None, depth = None, lift = None, *, depth_view = "colour",
+        crop = None, profile = None
+    ))]
     fn predict(
         &self,
         py: Python<'_>,
@@ -60,8 +70,10 @@ impl Predictor {
         grasp: Option<Pair<'_>>,
         rgb: Option<Bound<'_, PyAny>>,
         depth: Option<Bound<'_, PyAny>>,
+        lift: Option<Vec<Pair<'_>>>,
         depth_view: &str,
         crop: Option<&str>,
+        profile: Option<&Bound<'_, PyAny>>,
     ) -> Outcome<Prediction> {
         let views = DepthView::ALL.into_iter();
         let view = views.clone().find(|view| view.name() == depth_view);
@@ -77,15 +89,19 @@ impl Predictor {
         if let Some(crop) = crop.filter(|crop| *crop != CropProfile::FULL) {
             contract.check_crop_profile(crop.name())?;
         }
-        let both = |pair: Option<Pair<'_>>, name: &str| -> Outcome<Option<[RgbImage; 2]>> {
-            let Some([left, right]) = pair else {
-                return Ok(None);
-            };
+        let both = |[left, right]: Pair<'_>, name: &str| -> Outcome<[RgbImage; 2]> {
             let left = image(&left, &format!("{name}[0]"))?;
-            Ok(Some([left, image(&right, &format!("{name}[1]"))?]))
+            Ok([left, image(&right, &format!("{name}[1]"))?])
         };
-        let initial = both(initial, "initial")?;
-        let grasp = both(grasp, "grasp")?;
+        let initial = initial.map(|pair| both(pair, "initial")).transpose()?;
+        let grasp = grasp.map(|pair| both(pair, "grasp")).transpose()?;
+        let mut lift_images = Vec::new();
+        for (index, pair) in lift.iter().flatten().enumerate() {
+            py.check_signals()?;
+            let pair = [pair[0].clone(), pair[1].clone()];
+            lift_images.push(both(pair, &format!("lift[{index}]"))?);
+        }
+        let profile = profile.map(named_profile).transpose()?;
         let rgb = rgb.map(|rgb| image(&rgb, "rgb")).transpose()?;
         let depth = depth
             .map(|depth| depth_counts(&depth, "depth"))
@@ -96,9 +112,13 @@ impl Predictor {
             (None, Some(_)) => return Err(missing("initial").into()),
             (Some(_), None) => return Err(missing("grasp").into()),
         };
+        let has_lift = lift.is_some();
+        if has_lift && gels.is_none() {
+            return Err(missing("initial").into());
+        }
         let pool = pool(None)?;
-        let found = detached(py, || {
-            pool.install(|| {
+        let (found, lift) = detached(py, || {
+            let found = pool.install(|| {
                 self.model.predict_grasp(|input| {
                     let tactile = |gel: usize| {
                         let of = |pair: &[RgbImage; 2], name: &str| {
@@ -125,8 +145,38 @@ impl Predictor {
                         })),
                     }
                 })
-            })
+            })?;
+            let p_before = found.prediction.p_stable;
+            let follow = |[initial, grasp]: [&[RgbImage; 2]; 2]| {
+                let cropped = |pair: &[RgbImage; 2], name: &str| {
+                    let of =
+                        |gel: usize| tactile(&pair[gel], crop.as_ref(), &format!("{name}[{gel}]"));
+                    Ok::<_, Error>([of(0)?, of(1)?])
+                };
+                let head = self.model.lift_head().ok_or_else(|| {
+                    Error::input("the model has no verdict in the lift")
+                        .remedy("use gripcast-vt, or train on a dataset with `lift_motion`")
+                })?;
+                let (initial, grasp) = (cropped(initial, "initial")?, cropped(grasp, "grasp")?);
+                let images = lift_images.iter().enumerate();
+                let images = images.map(|(index, pair)| cropped(pair, &format!("lift[{index}]")));
+                let images = images.collect::<Result<Vec<_>>>()?;
+                let scale = profile.as_ref().map(|profile| profile.geometry.pixel_m);
+                head.follow(
+                    p_before,
+                    initial.each_ref(),
+                    grasp.each_ref(),
+                    images.iter().map(<[RgbImage; 2]>::each_ref),
+                    scale.unwrap_or(USUAL_M_PER_PX),
+                    profile
+                        .as_ref()
+                        .map_or(ExpectedMarkers::Unknown, SensorProfile::expected_markers),
+                )
+            };
+            let lift = gels.filter(|_| has_lift).map(follow).transpose()?;
+            Ok::<_, Error>((found, lift))
         })?;
+        let lift = lift.map(|verdicts| verdicts.into_iter().map(LiftVerdict::from).collect());
         Ok(Prediction {
             p_stable: found.prediction.p_stable,
             threshold: found.prediction.threshold,
@@ -138,6 +188,7 @@ impl Predictor {
             engine_ms: found.prediction.engine_ms,
             model: contract.name.clone(),
             model_sha256: self.model.sha256().to_owned(),
+            lift,
         })
     }
 
@@ -247,6 +298,8 @@ pub(crate) struct Prediction {
     pub(crate) model: String,
     /// Hash of the ONNX file.
     pub(crate) model_sha256: String,
+    /// Verdict on each image of the lift; None without such images.
+    pub(crate) lift: Option<Vec<LiftVerdict>>,
 }
 
 #[pymethods]
@@ -260,5 +313,36 @@ impl Prediction {
             self.threshold,
             reason.map_or(String::new(), |reason| format!("; {reason}"))
         )
+    }
+}
+
+/// Verdict on an image of the lift.
+#[pyclass(frozen, get_all, module = "gripcast")]
+#[derive(Clone)]
+pub(crate) struct LiftVerdict {
+    /// Probability that the grasp holds.
+    p_stable: f64,
+    /// Whether it is at least the threshold of the verdict in the lift.
+    is_stable: bool,
+    /// Whether the contact is being lost: the alarm.
+    is_slipping: bool,
+}
+
+impl From<lift::LiftVerdict> for LiftVerdict {
+    fn from(verdict: lift::LiftVerdict) -> Self {
+        Self {
+            p_stable: verdict.p_stable,
+            is_stable: verdict.is_stable,
+            is_slipping: verdict.is_slipping,
+        }
+    }
+}
+
+#[pymethods]
+impl LiftVerdict {
+    fn __repr__(&self) -> String {
+        let alarm = if self.is_slipping { ", slipping" } else { "" };
+        let name = if self.is_stable { "stable" } else { "slip" };
+        format!("<LiftVerdict {name}: p_stable {:.3}{alarm}>", self.p_stable)
     }
 }

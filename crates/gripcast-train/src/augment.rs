@@ -8,8 +8,8 @@ use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::ShardImages;
 use gripcast_imaging::{Decoder, Depth, DepthView, decode_png_grey16};
 use gripcast_nn::IMAGE;
-use gripcast_nn::predict::contract::{InputName, Modality, RgbNormalisation};
 use gripcast_nn::predict::PointMap;
+use gripcast_nn::predict::contract::{InputName, Modality, RgbNormalisation};
 
 const HEIGHT: usize = IMAGE[0];
 const WIDTH: usize = IMAGE[1];

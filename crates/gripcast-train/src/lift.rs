@@ -9,7 +9,9 @@ use super::samples::{SampleFacts, Samples};
 use super::validate::Logit;
 use gripcast_base::linear::NormalEquations;
 use gripcast_base::random::SeedStream;
-use gripcast_nn::predict::lift::{FEATURES, Features, LiftHead, MotionNetwork, features};
+use gripcast_nn::predict::lift::{
+    FEATURES, Features, LiftHead, LiftVerdict, MotionNetwork, features, is_lost,
+};
 use gripcast_shear::LiftMotion;
 
 /// Rise of the gripper between the images of a simulated lift, m.
@@ -31,14 +33,26 @@ const MIN_LIFTS: usize = 20;
 /// Images between alarm and loss that leave time to react: 80 ms.
 const LEAD: usize = 2;
 
-/// Features of each image of a lift after the first.
+/// Features of each image of a lift after the first, up to the loss of contact.
 fn sequence(motion: &LiftMotion) -> Vec<Features> {
     let Some(before) = motion.frames.first() else {
         return Vec::new();
     };
     let pairs = motion.frames.windows(2);
     pairs
+        .filter(|pair| !is_lost(before, &pair[0], &pair[1]))
         .map(|pair| features(before, &pair[0], &pair[1]))
+        .collect()
+}
+
+/// Verdict on each image of a lift after the first.
+fn verdicts(head: &LiftHead, p_before: f64, motion: &LiftMotion) -> Vec<LiftVerdict> {
+    let Some(before) = motion.frames.first() else {
+        return Vec::new();
+    };
+    let pairs = motion.frames.windows(2);
+    pairs
+        .map(|pair| head.verdict(p_before, before, &pair[0], &pair[1]))
         .collect()
 }
 
@@ -300,18 +314,17 @@ pub struct LiftEvaluation {
 impl LiftEvaluation {
     /// Evaluates a head on samples with the probabilities before the lift; none without motion.
     pub(super) fn new(head: &LiftHead, samples: &Samples, p_before: &[f64]) -> Option<Self> {
-        let lifts: Vec<(&SampleFacts, &LiftMotion, Vec<f64>)> = samples
+        type Lift<'a> = (&'a SampleFacts, &'a LiftMotion, Vec<LiftVerdict>);
+        let lifts: Vec<Lift<'_>> = samples
             .facts()
             .iter()
             .zip(p_before)
             .filter_map(|(facts, p_before)| {
                 let motion = facts.lift_motion.as_ref()?;
-                let features = sequence(motion);
-                let p = features.iter().map(|f| head.probability(*p_before, f));
-                Some((facts, motion, p.collect()))
+                Some((facts, motion, verdicts(head, *p_before, motion)))
             })
             .collect();
-        let longest = lifts.iter().map(|(_, _, p)| p.len()).max()?;
+        let longest = lifts.iter().map(|(_, _, verdicts)| verdicts.len()).max()?;
         let facts: Vec<SampleFacts> = lifts.iter().map(|(facts, _, _)| (*facts).clone()).collect();
         let (_, objects) = grouped(&facts, |facts| facts.object.clone());
         let bootstrap = Bootstrap::new(SEED);
@@ -319,8 +332,11 @@ impl LiftEvaluation {
             // A lift without this image keeps its last verdict.
             let scored: Vec<Scored> = lifts
                 .iter()
-                .map(|(facts, _, p)| Scored {
-                    p_stable: p.get(image).or(p.last()).copied().unwrap_or(0.5),
+                .map(|(facts, _, verdicts)| Scored {
+                    p_stable: verdicts
+                        .get(image)
+                        .or(verdicts.last())
+                        .map_or(0.5, |verdict| verdict.p_stable),
                     stable: facts.is_stable,
                 })
                 .collect();
@@ -332,13 +348,12 @@ impl LiftEvaluation {
                     .interval(&objects, |times| metrics.balanced_accuracy(times)),
             }
         };
-        type Lift<'a> = (&'a SampleFacts, &'a LiftMotion, Vec<f64>);
-        let is_alarmed = |p: &[f64]| p.iter().any(|p| *p < head.alarm);
-        let is_alarmed_ahead = |(_, motion, p): &Lift<'_>| {
-            let images = loss(motion).map_or(p.len(), |image| image.saturating_sub(LEAD));
-            is_alarmed(&p[..images.min(p.len())])
+        let is_alarmed = |verdicts: &[LiftVerdict]| verdicts.iter().any(|v| v.is_slipping);
+        let is_alarmed_ahead = |(_, motion, verdicts): &Lift<'_>| {
+            let images = loss(motion).map_or(verdicts.len(), |image| image.saturating_sub(LEAD));
+            is_alarmed(&verdicts[..images.min(verdicts.len())])
         };
-        let is_alarmed_at_all = |(_, _, p): &Lift<'_>| is_alarmed(p);
+        let is_alarmed_at_all = |(_, _, verdicts): &Lift<'_>| is_alarmed(verdicts);
         let is_lost_at_once =
             |(_, motion, _): &Lift<'_>| loss(motion).is_some_and(|image| image <= LEAD);
         let fraction = |label: bool, holds: &dyn Fn(&Lift<'_>) -> bool| {

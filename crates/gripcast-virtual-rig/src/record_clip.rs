@@ -28,6 +28,8 @@ const FREE_STEPS: usize = 6;
 const CONTACT_STEPS: usize = 24;
 const ADJUSTING_STEPS: usize = 4;
 const LIFTING_STEPS: usize = 10;
+/// Shown steps up to the first of them, where a verdict in the lift is formed.
+const LIFT_START_STEPS: usize = 5;
 /// Maximum keyframes of the approach and of the lift.
 const FREE_KEYS: usize = 3;
 const LIFTING_KEYS: usize = 3;
@@ -225,9 +227,13 @@ fn shown_steps(steps: &[TraceStep]) -> Result<Vec<usize>> {
         (0, free, FREE_STEPS),
         (free, closure, CONTACT_STEPS),
         (closure, before_lift, ADJUSTING_STEPS),
-        (before_lift, steps.len(), LIFTING_STEPS),
     ] {
         shown.extend(spread(from, to, max));
+    }
+    let mut lifting = spread(before_lift, steps.len(), LIFTING_STEPS);
+    if let Some(first) = lifting.next() {
+        shown.extend(spread(before_lift, first + 1, LIFT_START_STEPS));
+        shown.extend(lifting);
     }
     shown.dedup();
     Ok(shown)
@@ -261,7 +267,8 @@ fn keyframes(trace: &Trace, shown: &[usize], external_camera: Intrinsics) -> Key
         free.min(before_lift.saturating_sub(1)),
         before_lift.saturating_sub(1),
     ]);
-    keys.extend(spread(before_lift, shown.len(), LIFTING_KEYS));
+    let lifting = (before_lift + LIFT_START_STEPS - 1).min(shown.len());
+    keys.extend(spread(lifting, shown.len(), LIFTING_KEYS));
     keys.dedup();
     let mut external_keys = vec![0, before_lift.saturating_sub(1), shown.len() - 1];
     external_keys.dedup();
@@ -418,7 +425,12 @@ mod tests {
                 within(70, 170),
                 within(170, 220)
             ],
-            [FREE_STEPS, CONTACT_STEPS, ADJUSTING_STEPS, LIFTING_STEPS]
+            [
+                FREE_STEPS,
+                CONTACT_STEPS,
+                ADJUSTING_STEPS,
+                LIFT_START_STEPS + LIFTING_STEPS - 1
+            ]
         );
         // The ends of closure and adjustment are shown.
         assert!(shown.contains(&69) && shown.contains(&169));

@@ -258,8 +258,7 @@ where
             let next = repetition[start + 1..].iter().position(|&level| level == 0);
             let end = next.map_or(repetition.len(), |next| start + 1 + next);
             let levels = definition.get(start..end).ok_or_else(malformed)?;
-            let is_whole =
-                levels.len() <= max && levels.iter().all(|&level| level == self.defined);
+            let is_whole = levels.len() <= max && levels.iter().all(|&level| level == self.defined);
             lists.push(if levels == [0] && self.defined == LIST_LEVELS {
                 Cell::Null
             } else if is_whole && let Some((list, rest)) = values.split_at_checked(levels.len()) {

@@ -140,7 +140,10 @@ fn early_end_keeps_outcome_record_and_the_steps_before() {
         assert_eq!(early.trace.steps, full.trace.steps[..count]);
         let record = |result: &GraspResult| GraspRecord::new(&result.trace, Some(&grid)).unwrap();
         let (early, full) = (record(&early).unwrap(), record(&full).unwrap());
-        let (count, rise_m) = (early.states.len(), early.states[early.states.len() - 1].lifted_m);
+        let (count, rise_m) = (
+            early.states.len(),
+            early.states[early.states.len() - 1].lifted_m,
+        );
         assert_eq!(early.states, full.states[..count]);
         assert!((5e-3..=20e-3).contains(&rise_m), "{outcome:?}: {rise_m} m");
         let bytes = early.to_bytes().unwrap().len();

@@ -1,0 +1,146 @@
+//! The verdict in the lift on the eight grasps of the virtual rig, image by image.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use gripcast_capture::calibration::RigFile;
+use gripcast_capture::camera::{CameraOpener as _, Clock as _, FrameSource, ManualClock};
+use gripcast_imaging::{CropProfile, Decoder, Depth, DepthView, Frame, Role};
+use gripcast_nn::predict::contract::InputName;
+use gripcast_nn::predict::{InputImages, LiftVerdict, Model};
+use gripcast_shear::ExpectedMarkers;
+use gripcast_tactile::SensorProfile;
+use gripcast_virtual_rig::{ClipLibrary, HandTarget, VirtualHand, VirtualRig};
+use image::RgbImage;
+
+const MS: u64 = 1_000_000;
+const GELS: [Role; 2] = [Role::Left, Role::Right];
+
+/// The cameras of the virtual rig on a clock that only the test moves.
+struct Bench {
+    clock: Arc<ManualClock>,
+    hand: Arc<VirtualHand>,
+    cameras: BTreeMap<Role, Box<dyn FrameSource>>,
+    crop: CropProfile,
+    decoder: Decoder,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let clock = Arc::new(ManualClock::new(1_000 * MS));
+        let rig = VirtualRig::new(ClipLibrary::built_in().unwrap(), 1, clock.clone());
+        let file = RigFile::virtual_rig();
+        let crop = file.cameras[&Role::Left].crop_profile.as_deref().unwrap();
+        let cameras = [Role::Left, Role::Right, Role::Rgb, Role::Depth];
+        let open = |role| {
+            let mut camera = rig.camera(role, &file.cameras[&role]).unwrap();
+            (role, camera.open().unwrap())
+        };
+        Self {
+            hand: rig.hand(),
+            cameras: cameras.map(open).into(),
+            crop: CropProfile::by_name(crop).unwrap(),
+            decoder: Decoder::new().unwrap(),
+            clock,
+        }
+    }
+
+    /// The next frame of a camera, for which the clock advances.
+    fn frame(&mut self, role: Role) -> Frame {
+        let camera = self.cameras.get_mut(&role).unwrap();
+        loop {
+            let now_ns = self.clock.now_ns();
+            let frame = camera.next_frame(Duration::from_secs(1)).unwrap();
+            if frame.driver_time_ns >= now_ns {
+                return frame;
+            }
+        }
+    }
+
+    fn image(&mut self, role: Role) -> RgbImage {
+        let frame = self.frame(role);
+        let crop = role.is_tactile().then_some(&self.crop);
+        self.decoder.decode(&frame, crop, 320, 240).unwrap()
+    }
+
+    fn gels(&mut self) -> [RgbImage; 2] {
+        GELS.map(|role| self.image(role))
+    }
+}
+
+/// Verdicts by shown step of a lift: 1, 2, 3, 4, 5, 10, 15, … mm.
+struct Lift {
+    held: bool,
+    before: bool,
+    verdicts: BTreeMap<usize, LiftVerdict>,
+}
+
+fn follow(bench: &mut Bench, model: &Model, m_per_px: f64) -> Lift {
+    let held = bench.hand.clip().outcome().name() == "success";
+    let initial = bench.gels();
+    bench.hand.move_to(HandTarget::Closed);
+    bench.clock.advance(1_000 * MS);
+    let closed = bench.hand.scene_at(bench.clock.now_ns()).step;
+    let grasp = bench.gels();
+    let rgb = bench.image(Role::Rgb);
+    let frame = bench.frame(Role::Depth);
+    let depth = Depth {
+        image: bench.decoder.depth(&frame).unwrap(),
+        unit_m: 1e-3,
+    };
+    let tactile = |side: usize| InputImages::Tactile {
+        initial: initial[side].clone(),
+        grasp: grasp[side].clone(),
+    };
+    let predicted = model.predict_grasp(|name| {
+        Ok(Some(match name {
+            InputName::TactileLeft => tactile(0),
+            InputName::TactileRight => tactile(1),
+            InputName::Rgb => InputImages::Rgb(rgb.clone()),
+            InputName::Depth => InputImages::Depth(depth.clone(), DepthView::Colour),
+        }))
+    });
+    let prediction = predicted.unwrap().prediction;
+
+    bench.hand.move_to(HandTarget::Lifted);
+    let frames: Vec<(usize, [RgbImage; 2])> = (0..25)
+        .map(|_| {
+            bench.clock.advance(40 * MS);
+            let images = bench.gels();
+            (bench.hand.scene_at(bench.clock.now_ns()).step, images)
+        })
+        .collect();
+    let found = model.lift_head().unwrap().follow(
+        prediction.p_stable,
+        initial.each_ref(),
+        grasp.each_ref(),
+        frames.iter().map(|(_, images)| images.each_ref()),
+        m_per_px,
+        ExpectedMarkers::None,
+    );
+    let steps = frames.iter().map(|(step, _)| step.saturating_sub(closed));
+    let verdicts: BTreeMap<usize, LiftVerdict> = steps.zip(found.unwrap()).collect();
+    Lift {
+        held,
+        before: prediction.p_stable >= prediction.threshold,
+        verdicts,
+    }
+}
+
+#[test]
+fn verdict_in_the_lift_of_the_virtual_grasps() {
+    let model = Model::by_name("gripcast-vt").unwrap();
+    let sensor = SensorProfile::gelsight_mini().unwrap();
+    let mut bench = Bench::new();
+    for _ in 0..8 {
+        let name = bench.hand.clip().object_name().to_owned();
+        let lift = follow(&mut bench, &model, sensor.geometry.pixel_m);
+        println!(
+            "{name} held {} before {} {:?}",
+            lift.held, lift.before, lift.verdicts
+        );
+        bench.hand.next_object();
+    }
+    panic!();
+}
