@@ -2,7 +2,7 @@
 //! frame rate of a sensor.
 //!
 //! A record keeps what images and learning need: poses, forces, and the displacement of the gels'
-//! faces to 2 µm. With 13 × 11 nodes on a face it takes 6 KB as bytes; a trace takes 0.3 MB.
+//! faces to 2 µm. With 13 × 11 nodes on a face it takes 7 KB as bytes; a trace takes 0.3 MB.
 //!
 //! Bytes: DEFLATE of little-endian numbers. Header: u16 states, u16 nodes along x and y, pose of the
 //! gripper before the lift (3 f64 translation, 4 f64 quaternion xyzw). Each state: u8 stage, then as
