@@ -15,7 +15,7 @@ use gripcast_base::workers::cores;
 use gripcast_nn::predict::contract::Modality;
 use gripcast_train::metrics::Interval;
 use gripcast_train::{
-    Condition, ExperimentEvent, ExperimentReport, ExperimentSettings, TestSet, TrainEvent,
+    Condition, ExperimentEvent, ExperimentReport, ExperimentSettings, Samples, TestSet, TrainEvent,
     experiment,
 };
 
@@ -74,7 +74,13 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     if let Some(shifted) = &args.shifted {
         tests.push(test("Shifted domain", "shifted", shifted));
     }
+    let with_depth = [("train", &args.fem), ("test", &args.fem)]
+        .into_iter()
+        .chain(args.shifted.iter().map(|shifted| ("test", shifted)))
+        .map(|(split, data)| Ok(Samples::open(data, split)?.modality()?.has_depth()))
+        .collect::<Result<Vec<bool>>>()?;
     let settings = ExperimentSettings {
+        with_depth: with_depth.into_iter().all(|has_depth| has_depth),
         fem: args.fem.clone(),
         rigid: args.rigid.clone(),
         tests,
@@ -84,8 +90,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     };
     let out = args.out.clone();
     let jobs = args.jobs.map_or_else(cores, usize::from);
-    let conditions = Condition::ALL.len() - usize::from(args.rigid.is_none());
-    let runs = conditions * args.seeds as usize;
+    let runs = settings.conditions().count() * args.seeds as usize;
     let fractions: Mutex<BTreeMap<(Condition, u64), f64>> = Mutex::default();
     let report = resumable(context, "experiment", move |progress| {
         experiment(&settings, &out, jobs, &|event| match event {
@@ -123,6 +128,24 @@ fn text(report: &ExperimentReport) -> String {
         ));
     }
     lines.push(String::new());
+    for result in &report.results {
+        // The third image is at 2.4 mm.
+        let points = result
+            .lift
+            .iter()
+            .filter_map(|lift| lift.points.get(2)?.auroc);
+        let points: Vec<f64> = points.map(|auroc| auroc.estimate).collect();
+        if points.is_empty() {
+            continue;
+        }
+        lines.push(format!(
+            "{:<12} {} after 2.4 mm of lift: AUROC {:.3}, mean of {} seeds",
+            result.test,
+            result.condition.title(),
+            points.iter().sum::<f64>() / points.len() as f64,
+            points.len()
+        ));
+    }
     for difference in &report.differences {
         lines.push(format!(
             "{:<12} {} − {}: balanced accuracy {}, AUROC {}",

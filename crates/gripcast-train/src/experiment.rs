@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::evaluate::{ModelEvaluation, evaluate};
 use super::finish::finish;
+use super::lift::LiftEvaluation;
 use super::metrics::plot::{Bar, BarChart, BarGroup, Reference, bars};
 use super::metrics::{Interval, SeedSummary, Summary};
 use super::resampled::Resampled;
@@ -33,13 +34,21 @@ pub enum Condition {
     Touch,
     /// Both, FEM data.
     Both,
+    /// Both and depth, FEM data.
+    All,
     /// Both, rigid-body data.
     BothRigid,
 }
 
 impl Condition {
     /// All conditions, in the order of the figure.
-    pub const ALL: [Self; 4] = [Self::Vision, Self::Touch, Self::Both, Self::BothRigid];
+    pub const ALL: [Self; 5] = [
+        Self::Vision,
+        Self::Touch,
+        Self::Both,
+        Self::All,
+        Self::BothRigid,
+    ];
 
     /// Returns its name in the figure.
     pub fn title(self) -> &'static str {
@@ -47,6 +56,7 @@ impl Condition {
             Self::Vision => "V",
             Self::Touch => "T",
             Self::Both => "V+T",
+            Self::All => "V+T+D",
             Self::BothRigid => "V+T, rigid",
         }
     }
@@ -57,6 +67,7 @@ impl Condition {
             Self::Vision => "v",
             Self::Touch => "t",
             Self::Both => "vt",
+            Self::All => "vtd",
             Self::BothRigid => "vt-rigid",
         }
     }
@@ -66,6 +77,7 @@ impl Condition {
             Self::Vision => Modality::V,
             Self::Touch => Modality::T,
             Self::Both | Self::BothRigid => Modality::Vt,
+            Self::All => Modality::Vtd,
         }
     }
 }
@@ -90,6 +102,9 @@ pub struct ExperimentSettings {
     pub fem: PathBuf,
     /// Dataset of the same plan by the rigid engine; without it, that condition is omitted.
     pub rigid: Option<PathBuf>,
+    /// Whether there is a condition with depth images, which the FEM data and the test sets need
+    /// for it.
+    pub with_depth: bool,
     /// Test sets.
     pub tests: Vec<TestSet>,
     /// Number of seeds per condition, from 0.
@@ -138,6 +153,8 @@ pub struct ConditionResult {
     pub balanced_accuracy: Option<Interval>,
     /// Mean AUROC over seeds with its 95 % interval over objects.
     pub auroc: Option<Interval>,
+    /// Verdict in the lift per seed; none without motion in the data.
+    pub lift: Vec<LiftEvaluation>,
 }
 
 /// Difference between two conditions, first minus second.
@@ -294,9 +311,12 @@ struct CachedTest {
 
 impl ExperimentSettings {
     /// Returns the conditions with data, in the order of the figure.
-    fn conditions(&self) -> impl Iterator<Item = Condition> + '_ {
-        let has_data =
-            |condition: &Condition| *condition != Condition::BothRigid || self.rigid.is_some();
+    pub fn conditions(&self) -> impl Iterator<Item = Condition> + '_ {
+        let has_data = |condition: &Condition| match condition {
+            Condition::All => self.with_depth,
+            Condition::BothRigid => self.rigid.is_some(),
+            _ => true,
+        };
         Condition::ALL.into_iter().filter(has_data)
     }
 
@@ -346,10 +366,12 @@ impl ExperimentSettings {
                     seeds: summaries,
                     balanced_accuracy,
                     auroc,
+                    lift: evaluations.iter().filter_map(|e| e.lift.clone()).collect(),
                 });
                 of_test.insert(condition, resampled);
             }
             let pairs = [
+                (Condition::All, Condition::Touch),
                 (Condition::Both, Condition::Touch),
                 (Condition::Both, Condition::Vision),
                 (Condition::Touch, Condition::Vision),
@@ -379,7 +401,7 @@ impl ExperimentSettings {
         }
         Ok(ExperimentReport {
             format: "gripcast-fig6".to_owned(),
-            version: 1,
+            version: 2,
             software: concat!("gripcast ", env!("CARGO_PKG_VERSION")).to_owned(),
             datasets,
             training: self.training.clone(),

@@ -36,6 +36,7 @@ fn experiment_trains_tests_and_compares_conditions() {
         }],
         fem,
         rigid: Some(rigid),
+        with_depth: true,
         seeds: 2,
         training: TrainSettings {
             pretrain_epochs: 1,
@@ -55,9 +56,9 @@ fn experiment_trains_tests_and_compares_conditions() {
         }
     };
     let report = experiment(&settings, &out, 2, &on_progress).unwrap();
-    assert_eq!(*runs.lock().unwrap(), [8, 16]);
-    assert_eq!(report.results.len(), 4);
-    assert_eq!(report.differences.len(), 4);
+    assert_eq!(*runs.lock().unwrap(), [10, 20]);
+    assert_eq!(report.results.len(), 5);
+    assert_eq!(report.differences.len(), 5);
     for result in &report.results {
         assert_eq!((result.n, result.stable, result.seeds.len()), (8, 4, 2));
         let mean = result.over_seeds.auroc.unwrap().mean;
@@ -71,7 +72,13 @@ fn experiment_trains_tests_and_compares_conditions() {
         );
     }
     // Models that also predict from fewer inputs are compared with all of theirs.
-    for (condition, modality) in [("v", "V"), ("t", "T"), ("vt", "VT"), ("vt-rigid", "VT")] {
+    for (condition, modality) in [
+        ("v", "V"),
+        ("t", "T"),
+        ("vt", "VT"),
+        ("vtd", "VTD"),
+        ("vt-rigid", "VT"),
+    ] {
         let cache = out.join(condition).join("seed-1/eval-held-out.json");
         let cached: serde_json::Value = serde_json::from_slice(&fs::read(cache).unwrap()).unwrap();
         assert_eq!(cached["evaluation"]["modality"], modality);
@@ -82,16 +89,17 @@ fn experiment_trains_tests_and_compares_conditions() {
         experiment(&settings, &out, 2, &on_progress).unwrap(),
         report
     );
-    assert_eq!(*runs.lock().unwrap(), [16, 16]);
+    assert_eq!(*runs.lock().unwrap(), [20, 20]);
     assert_eq!(fs::read(out.join("fig6.json")).unwrap(), written);
-    // Without the rigid-body simulator the rest is the same.
+    // Without the rigid-body simulator and depth the rest is the same.
     let three = ExperimentSettings {
         rigid: None,
+        with_depth: false,
         ..settings.clone()
     };
     let found = experiment(&three, &out, 2, &on_progress).unwrap();
     assert_eq!(found.results[..], report.results[..3]);
-    assert_eq!(found.differences[..], report.differences[..3]);
+    assert_eq!(found.differences[..], report.differences[1..4]);
     assert!(!found.datasets.contains_key("rigid"));
     let chart = fs::read_to_string(out.join("fig6.svg")).unwrap();
     assert!(chart.contains("V+T") && !chart.contains("rigid"));
