@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# packaging/try-wheel.sh WHEEL [SUITE…]: installs the wheel into a fresh Debian without a compiler
-# and simulates a grasp there.
+# packaging/try-wheel.sh WHEEL [SUITE…]: installs the wheel into a fresh Debian without a compiler,
+# simulates a grasp there and runs the Python block of the README word for word.
 #
 # SUITE: bookworm and trixie unless named. Prints the time from `pip install` to the first simulated
 # grasp. Needs root, a network and debootstrap; says SKIPPED and why without one of them, and ends with
@@ -19,6 +19,7 @@ skip() {
 }
 wheel=$(realpath "$1")
 shift
+cd "$(dirname "$0")/.."
 suites=("$@")
 [ ${#suites[@]} -gt 0 ] || suites=(bookworm trixie)
 [ "$(id -u)" -eq 0 ] || skip "a chroot needs root"
@@ -51,4 +52,6 @@ print(gc.simulate(ball, gel="coarse", stop_force_n=12).outcome)')
     }
     took=$(python3 -c "import sys; print(round(float(sys.argv[2]) - float(sys.argv[1]), 1))" "$began" "$(date +%s.%N)")
     say "$suite: $took s from pip install to the first simulated grasp"
+    sed -n '/^```python$/,/^```$/{/^```/!p}' README.md >"$root/tmp/readme.py"
+    "${inside[@]}" /opt/gripcast/bin/python /tmp/readme.py | sed "s/^/try-wheel: $suite: README: /" >&2
 done

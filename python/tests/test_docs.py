@@ -55,6 +55,14 @@ def test_quick_start_runs_as_it_stands(folder: Path, capsys: pytest.CaptureFixtu
     assert printed.count("stable (240, 320, 3)") == 1
 
 
+def test_readme_runs_as_it_stands(capsys: pytest.CaptureFixture[str]) -> None:
+    [(skipped, block)] = BLOCK.findall((ROOT / "README.md").read_text())
+    assert not skipped
+    exec(compile(block, "README.md", "exec"), {"__name__": "__main__"})
+    printed = capsys.readouterr().out
+    assert "<GraspResult success" in printed and "<Prediction stable" in printed
+
+
 def test_examples_run(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     for example in sorted((ROOT / "python/examples").glob("*.py")):
         monkeypatch.setattr(sys, "argv", [os.fspath(example), *ARGUMENTS.get(example.stem, [])])
