@@ -49,7 +49,7 @@ GROUPS = {
 }  # fmt: skip
 HEAD = """# Python API
 
-Generated from the package's stubs and docstrings (`python/tests/api_reference.py`); a test holds this page against the package. [Use gripcast from Python](../how-to/python.md) has a quick start. Lengths are metres and forces newtons; names carry the unit. A pose `t_a_b` maps coordinates of frame b into frame a. Images are height × width × 3, uint8, RGB. Frames: [conventions](../../ARCHITECTURE.md).
+Generated from the package's stubs and docstrings (`python/tests/api_reference.py`); a test compares this page with the package. [Use gripcast from Python](../how-to/python.md) has a quick start. Lengths are metres and forces newtons; names carry the unit. A pose `t_a_b` maps coordinates of frame b into frame a. Images are height × width × 3, uint8, RGB. Frames: [conventions](../../ARCHITECTURE.md).
 
 Every function raises a subclass of [`Error`](#error) with `what`, `where` and `remedy`; Ctrl-C ends long calls with `KeyboardInterrupt`. Long calls release the GIL.
 """
