@@ -129,18 +129,33 @@ fn follow(bench: &mut Bench, model: &Model, m_per_px: f64) -> Lift {
 }
 
 #[test]
-fn verdict_in_the_lift_of_the_virtual_grasps() {
+fn verdict_in_the_lift_follows_held_and_lost_grasps() {
     let model = Model::by_name("gripcast-vt").unwrap();
-    let sensor = SensorProfile::gelsight_mini().unwrap();
+    let m_per_px = SensorProfile::gelsight_mini().unwrap().geometry.pixel_m;
     let mut bench = Bench::new();
+    let mut right: BTreeMap<usize, Vec<String>> = BTreeMap::new();
     for _ in 0..8 {
-        let name = bench.hand.clip().object_name().to_owned();
-        let lift = follow(&mut bench, &model, sensor.geometry.pixel_m);
+        let clip = bench.hand.truth(bench.clock.now_ns()).clip;
+        let lift = follow(&mut bench, &model, m_per_px);
         println!(
-            "{name} held {} before {} {:?}",
-            lift.held, lift.before, lift.verdicts
+            "{clip}: held {}, before the lift {}",
+            lift.held, lift.before
         );
+        for (step, verdict) in &lift.verdicts {
+            println!("{step:4} {verdict:?}");
+            assert!(!(lift.held && verdict.is_slipping), "{clip}: {step}");
+            if verdict.is_stable == lift.held {
+                right.entry(*step).or_default().push(clip.clone());
+            }
+        }
+        let (_, last) = lift.verdicts.last_key_value().unwrap();
+        assert_eq!(last.is_stable, lift.held, "{clip}");
+        let is_alarmed = lift.verdicts.values().any(|verdict| verdict.is_slipping);
+        assert_eq!(is_alarmed, !lift.held, "{clip}");
         bench.hand.next_object();
     }
-    panic!();
+    println!("{right:?}");
+    // Steps 2 and 6 are at 2 mm and at 10 mm.
+    assert!(right[&2].len() >= 6, "{:?}", right[&2]);
+    assert!(right[&6].len() >= 7, "{:?}", right[&6]);
 }

@@ -128,15 +128,11 @@ pub(super) fn fit(
         threshold: 0.5,
         alarm: 0.0,
     };
-    let probability = |prior: f64, motion: f64| {
-        let logit = prior_weight * prior + motion_weight * motion + offset;
-        1.0 / (1.0 + (-logit).exp())
-    };
     let scored: Vec<Scored> = samples
         .iter()
         .flat_map(|(prior, motion, stable)| {
             motion.iter().map(|motion| Scored {
-                p_stable: probability(*prior, *motion),
+                p_stable: head.probability(*prior, *motion),
                 stable: *stable,
             })
         })
@@ -145,7 +141,9 @@ pub(super) fn fit(
     let held = samples.iter().filter(|(_, _, stable)| *stable);
     let mut least: Vec<f64> = held
         .map(|(prior, motion, _)| {
-            let all = motion.iter().map(|motion| probability(*prior, *motion));
+            let all = motion
+                .iter()
+                .map(|motion| head.probability(*prior, *motion));
             all.fold(1.0, f64::min)
         })
         .collect();
