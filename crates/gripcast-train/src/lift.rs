@@ -74,17 +74,29 @@ struct Row {
     weight: f64,
 }
 
+/// Weights of the images of a lift, in sum 1: the first millimetres count most, so each doubling of
+/// the rise has the same weight.
+fn image_weights(images: usize) -> Vec<f64> {
+    let sum: f64 = (1..=images).map(|image| 1.0 / image as f64).sum();
+    (1..=images)
+        .map(|image| 1.0 / (image as f64 * sum))
+        .collect()
+}
+
 fn rows<'a>(facts: impl Iterator<Item = &'a SampleFacts>) -> Vec<Row> {
     let of_lift = |facts: &SampleFacts| {
         let sequence = facts.lift_motion.as_ref().map(sequence);
         let sequence = sequence.unwrap_or_default();
-        let weight = 1.0 / sequence.len().max(1) as f64;
         let is_stable = facts.is_stable;
-        sequence.into_iter().map(move |features| Row {
-            features,
-            is_stable,
-            weight,
-        })
+        let weights = image_weights(sequence.len());
+        sequence
+            .into_iter()
+            .zip(weights)
+            .map(move |(features, weight)| Row {
+                features,
+                is_stable,
+                weight,
+            })
     };
     facts.flat_map(of_lift).collect()
 }
@@ -248,12 +260,11 @@ fn combine(samples: &[(f64, Vec<f64>, bool)]) -> Option<[f64; 3]> {
         let mut system = NormalEquations::<3>::zero();
         let mut gradient = [0.0; 3];
         for (prior, motion, stable) in samples {
-            for motion_logit in motion {
+            for (motion_logit, share) in motion.iter().zip(image_weights(motion.len())) {
                 let x = [*prior, *motion_logit, 1.0];
                 let logit: f64 = weights.iter().zip(x).map(|(w, x)| w * x).sum();
                 let p = 1.0 / (1.0 + (-logit).exp());
                 let error = p - f64::from(u8::from(*stable));
-                let share = 1.0 / motion.len() as f64;
                 // A step towards zero residual, weighted by the curvature.
                 let curvature = share * (p * (1.0 - p)).max(1e-6);
                 system.add(&x, -share * error / curvature, curvature);
