@@ -24,20 +24,13 @@ import tempfile
 import numpy
 from PIL import Image
 
+from comparison import expect, faults
+
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("dataset", type=pathlib.Path)
 for name in ("parquet", "webdataset", "lerobot", "zarr", "training"):
     parser.add_argument(f"--{name}", type=pathlib.Path)
 args = parser.parse_args()
-faults = []
-compared = 0
-
-
-def expect(holds, what):
-    global compared
-    compared += 1
-    if not holds:
-        faults.append(what)
 
 
 def load_records():
@@ -547,7 +540,7 @@ if asked == 0:
     sys.exit("name an export, as --parquet P")
 for fault in faults:
     print(f"FAULT {fault}", file=sys.stderr)
-print(f"{compared} comparisons, {len(faults)} faults, {len(records)} grasps")
+print(f"{expect.compared} comparisons, {len(faults)} faults, {len(records)} grasps")
 sys.stdout.flush()
 sys.stderr.flush()
 # Threads of the C++ libraries sometimes abort the interpreter while it ends.

@@ -26,21 +26,14 @@ from mcap.reader import NonSeekingReader
 from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
 
+from comparison import expect, faults
+
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("dataset", type=pathlib.Path)
 parser.add_argument("export", type=pathlib.Path)
 parser.add_argument("--lift", type=float, default=3.0, help="as of the export, s")
 parser.add_argument("--left-out", nargs="*", default=[], help="grasps that the export left out")
 args = parser.parse_args()
-faults = []
-compared = 0
-
-
-def expect(holds, what):
-    global compared
-    compared += 1
-    if not holds:
-        faults.append(what)
 
 
 def read_log():
@@ -233,7 +226,7 @@ expect(len(loaded) == index, f"{len(loaded)} frames, expected {index}")
 for fault in faults[:50]:
     print(f"FAULT {fault}", file=sys.stderr)
 measured = ", ".join(f"{n} frames with markers of {role}" for role, n in sorted(counts.items()))
-print(f"{compared} comparisons, {len(faults)} faults, {len(exported)} episodes of {index} frames", measured)
+print(f"{expect.compared} comparisons, {len(faults)} faults, {len(exported)} episodes of {index} frames", measured)
 sys.stdout.flush()
 sys.stderr.flush()
 # Threads of the C++ libraries sometimes abort the interpreter while it ends.

@@ -27,6 +27,8 @@ from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
 
+from comparison import expect, faults
+
 KNOWN = {"foxglove.CompressedImage": CompressedImage, "foxglove.RawImage": RawImage}
 ENCODINGS = {"YUYV": "yuyv", "Z16": "16UC1", "GREY": "mono8"}
 
@@ -35,12 +37,6 @@ parser.add_argument("dataset", type=pathlib.Path)
 parser.add_argument("--box", type=pathlib.Path, help="where the files are [default: in the dataset]")
 parser.add_argument("--require", action="store_true", help="every saved frame has to be there")
 args = parser.parse_args()
-faults = []
-
-
-def expect(holds, what):
-    if not holds:
-        faults.append(what)
 
 
 def check_schema(schema):

@@ -21,6 +21,8 @@ import pyarrow
 import pyarrow.parquet as pq
 from PIL import Image
 
+from comparison import expect, faults
+
 TEXTS = "id simulation object category engine outcome outcome_detail appearance crop_profile".split()
 NUMBERS = "stop_force_n friction mass_kg lifted_m opening_m".split()
 IMAGES = "initial_left initial_right grasp_left grasp_right grasp_rgb".split()
@@ -34,12 +36,6 @@ args = parser.parse_args()
 files = sorted((args.dataset / "data").glob("*.parquet"))
 cache = tempfile.TemporaryDirectory()
 datasets.disable_progress_bars()
-faults = []
-
-
-def expect(holds, what):
-    if not holds:
-        faults.append(what)
 
 
 def check_features(features, where):
