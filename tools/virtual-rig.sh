@@ -1,6 +1,6 @@
 #!/bin/sh
 # Simulates and renders the grasps of the built-in virtual rig again, into calib/virtual-rig/.
-# About 40 CPU minutes. Usage: tools/virtual-rig.sh [GRIPCAST]
+# About 20 CPU minutes. Usage: tools/virtual-rig.sh [GRIPCAST]
 set -eu
 cd "$(dirname "$0")/.."
 gripcast=${1:-target/release/gripcast}
