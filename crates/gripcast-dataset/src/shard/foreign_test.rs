@@ -110,12 +110,12 @@ fn invalid_value_is_reported_with_its_row() {
         (
             "pose_t_m",
             Cell::Numbers(vec![0.0; 2]),
-            "not a list of 3 numbers",
+            "pose_t_m and pose_q_wxyz need 3 and 4 numbers",
         ),
         (
             "pose_t_m",
             Cell::Numbers(vec![0.0; 4]),
-            "not a list of 3 numbers",
+            "not a list of at most 3 numbers",
         ),
         (
             "pose_q_wxyz",
@@ -147,7 +147,7 @@ fn lists_of_wrong_length_do_not_cancel_out() {
     cells[0][index] = Cell::Numbers(vec![0.0; 2]);
     cells[1][index] = Cell::Numbers(vec![0.0; 4]);
     let error = read(foreign(&[cells])).unwrap_err().to_string();
-    assert!(error.contains("not a list of 3 numbers"), "{error}");
+    assert!(error.contains("not a list of at most 3 numbers"), "{error}");
 }
 
 #[test]

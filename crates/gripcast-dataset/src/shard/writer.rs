@@ -307,7 +307,7 @@ mod tests {
         // Changes with the format (then bump its version) or with the Parquet crate.
         assert_eq!(
             hash,
-            "a5946d41b6784b7b46c805c0692dd3c97a7b1ca22db64f775ef9fcadca31bf4d"
+            "a0455eb6023c0049a3f1ef475d8919ddbc083cbbc89c91e0ed3e42736fc82671"
         );
     }
 
