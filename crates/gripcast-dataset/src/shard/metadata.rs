@@ -16,7 +16,9 @@ const FORMAT: &str = "gripcast-shard";
 /// Name of the format of `dataset export --to parquet`.
 pub const EXPORT: &str = "gripcast-export";
 /// Version of the format.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+/// Oldest version that can be read: there, lists of `lift_motion` are padded with NaN.
+const OLDEST_VERSION: u32 = 1;
 
 /// Value of the key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -77,11 +79,41 @@ impl ShardMetadata {
                 _ => error,
             });
         }
-        if version != VERSION {
-            let what = format!("unsupported shard version {version}, expected {VERSION}");
+        if !(OLDEST_VERSION..=VERSION).contains(&version) {
+            let what = format!(
+                "unsupported shard version {version}, expected {OLDEST_VERSION} to {VERSION}"
+            );
             let error = Error::input(what);
             return Err(error.remedy("read it with the gripcast release that wrote it"));
         }
         serde_json::from_str(text).map_err(unreadable)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_of_the_last_version_are_read_and_newer_ones_refused() {
+        let written = ShardMetadata::new("{}".into(), Vec::new());
+        let text = |version: u32| {
+            let current = format!("\"version\":{VERSION}");
+            let json = written.to_json().unwrap();
+            assert!(json.contains(&current), "{json}");
+            json.replace(&current, &format!("\"version\":{version}"))
+        };
+        for version in [OLDEST_VERSION, VERSION] {
+            assert_eq!(
+                ShardMetadata::parse(&text(version)).unwrap().version,
+                version
+            );
+        }
+        for version in [OLDEST_VERSION - 1, VERSION + 1] {
+            let error = ShardMetadata::parse(&text(version))
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains("expected 1 to 2"), "{error}");
+        }
     }
 }

@@ -307,7 +307,7 @@ mod tests {
         // Changes with the format (then bump its version) or with the Parquet crate.
         assert_eq!(
             hash,
-            "a0455eb6023c0049a3f1ef475d8919ddbc083cbbc89c91e0ed3e42736fc82671"
+            "b3ad45f572b42300f0634b18bfe94a98408e8c99ebe14af4b15fd87d552a297a"
         );
     }
 
