@@ -40,7 +40,7 @@ run: setup
 	    echo "no terminal: running the scripted three grasps" >&2; \
 	    GRIPCAST__GUARDS__MAX_FRAME_AGE_MS=2000 GRIPCAST__GUARDS__MAX_SKEW_MS=2000 \
 	        target/release/gripcast collect --rig virtual --script tests/data/three-grasps.txt \
-	        --dataset "$(DATASET)"; \
+	        --seed "$$(ls "$(DATASET)/grasps" 2>/dev/null | wc -l)" --dataset "$(DATASET)"; \
 	    target/release/gripcast dataset verify "$(DATASET)"; \
 	fi
 

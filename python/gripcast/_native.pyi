@@ -607,6 +607,7 @@ class Predictor:
         depth_view: Literal["colour", "left-imager"] = "colour",
         crop: str | None = None,
         profile: SensorProfile | _Path | None = None,
+        lift_depth: Sequence[_Depth] | None = None,
     ) -> Prediction: ...
     @property
     def name(self) -> str: ...

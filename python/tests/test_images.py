@@ -118,6 +118,16 @@ def test_lift_is_judged_image_by_image(touch: Any) -> None:
     held, lost = found[0], found[3]
     assert not held.is_slipping and lost.is_slipping and not lost.is_stable
     assert lost.p_stable < held.p_stable <= 1.0
+    # A plate between the fingers, 9 mm above the table, that falls behind.
+    depth = np.full((240, 320), 200, dtype=np.uint16)
+    depth[60:180, 130:190] = 180
+    depths = [depth, depth, depth + 4, depth + 8]
+    moved = predictor.predict(initial, grasp, depth=depth, lift=[grasp] * 4, lift_depth=depths).lift
+    assert moved is not None and len(moved) == 4
+    assert moved[3].p_stable < moved[0].p_stable
+    for missing in ({}, {"depth": depth, "lift_depth": depths[1:]}):
+        with pytest.raises((gc.UsageError, gc.InputError), match="depth"):
+            predictor.predict(initial, grasp, lift=[grasp] * 4, **{"lift_depth": depths, **missing})  # type: ignore[arg-type]
     large = np.repeat(np.repeat(grasp[0], 2, axis=0), 2, axis=1)
     with pytest.raises(gc.InputError, match=r"`lift\[1\]\[0\]` must be cropped"):
         predictor.predict(initial, grasp, lift=[grasp, (large, large)])

@@ -15,7 +15,8 @@ use gripcast_base::files;
 use gripcast_nn::predict::Model;
 use gripcast_train::metrics::{BaseRateCalibration, Interval};
 use gripcast_train::{
-    ConformalLabel, EvalReport, ModelEvaluation, Samples, dataset_sha256, evaluate, page,
+    ConformalLabel, EvalReport, LiftEvaluation, ModelEvaluation, Samples, dataset_sha256, evaluate,
+    page,
 };
 
 /// Error rate of the sets without `--error-rate`.
@@ -164,9 +165,17 @@ fn row(model: &ModelEvaluation) -> String {
 
 /// Formats the verdict in the lift.
 fn in_the_lift(model: &ModelEvaluation) -> Vec<String> {
-    let Some(lift) = &model.lift else {
-        return Vec::new();
-    };
+    let from_all = model.lift.iter().map(|lift| {
+        let with_object = lift.with_object > 0.0;
+        (lift, if with_object { " with depth" } else { "" })
+    });
+    let from_gels = model.lift_from_gels.iter().map(|lift| (lift, ""));
+    let each = from_all.chain(from_gels);
+    each.flat_map(|(lift, inputs)| lift_lines(&model.file, lift, inputs))
+        .collect()
+}
+
+fn lift_lines(model: &str, lift: &LiftEvaluation, inputs: &str) -> Vec<String> {
     let [lifts, slips] = lift.lifts;
     // Every image of the first 5 mm, then every fifth.
     let shown = lift.points.iter().enumerate();
@@ -174,8 +183,7 @@ fn in_the_lift(model: &ModelEvaluation) -> Vec<String> {
         .filter(|(image, _)| *image < 6 || image % 5 == 4)
         .map(|(_, point)| {
             format!(
-                "{} after {:.1} mm of lift: AUROC {}, balanced accuracy {}",
-                model.file,
+                "{model} after {:.1} mm of lift{inputs}: AUROC {}, balanced accuracy {}",
                 1e3 * point.lifted_m,
                 interval(point.auroc),
                 interval(point.balanced_accuracy),
@@ -183,9 +191,8 @@ fn in_the_lift(model: &ModelEvaluation) -> Vec<String> {
         })
         .collect();
     lines.push(format!(
-        "{} alarm: {} of the held lifts, {} of the slips, {} 80 ms ahead; {} lose contact in the first \
-         80 ms ({lifts} lifts, {slips} slips)",
-        model.file,
+        "{model} alarm{inputs}: {} of the held lifts, {} of the slips, {} 80 ms ahead; {} lose contact \
+         in the first 80 ms ({lifts} lifts, {slips} slips)",
         interval(lift.alarmed_held),
         interval(lift.alarmed_slips_any),
         interval(lift.alarmed_slips),

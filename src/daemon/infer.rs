@@ -26,7 +26,9 @@ use super::thread::lock;
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_dataset::PredictionRecord;
-use gripcast_imaging::{Depth, DepthView, GelChange, GelState, Role, TactileDifference};
+use gripcast_imaging::{
+    Depth, DepthView, GelChange, GelState, ObjectTracker, Role, TactileDifference,
+};
 use gripcast_nn::predict::{
     Adaptation, ConformalLimits, LivePrediction, LivePredictor, Model, Smoothing,
 };
@@ -435,6 +437,9 @@ impl Worker {
                 self.predict();
             }
         }
+        if let Some((lift, depth, view)) = self.lift_depth(&decoded) {
+            lift.add_depth(depth, view, decoded.driver_time_ns);
+        }
         // After the prediction, which does not wait for the shear.
         let level = difference.as_ref().map(TactileDifference::mean_abs);
         let field = self.measure_shear(role, &decoded, level);
@@ -472,6 +477,15 @@ impl Worker {
         let mut image = (*decoded.image).clone();
         draw_outline(&mut image, &geometry);
         Arc::new(image)
+    }
+
+    /// The lift, and an image of the depth camera for it.
+    fn lift_depth<'a>(
+        &'a mut self,
+        decoded: &'a Decoded,
+    ) -> Option<(&'a mut LiveLift, &'a Depth, DepthView)> {
+        let depth = decoded.depth.as_ref()?;
+        Some((self.lift.as_mut()?, depth, self.rules.depth_view?))
     }
 
     /// Updates the verdict in the lift once both gels have a new image.
@@ -629,7 +643,11 @@ impl Worker {
         let prediction = self.predict_saved(images, depth);
         let p_before = prediction.as_ref().map(|record| record.p_stable);
         self.lift = match (motion, p_before) {
-            ([Some(left), Some(right)], Some(p)) => Some(LiveLift::new(p, [left, right])),
+            ([Some(left), Some(right)], Some(p)) => {
+                let depth = depth.zip(self.rules.depth_view);
+                let tracker = depth.and_then(|(depth, view)| ObjectTracker::new(depth, view));
+                Some(LiveLift::new(p, [left, right], tracker))
+            }
             _ => None,
         };
         lock(&self.state).lift = None;

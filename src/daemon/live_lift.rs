@@ -4,13 +4,15 @@ use image::{Rgb, RgbImage};
 
 use super::status::LiftStatus;
 use gripcast_geometry::{GraspGeometry, WristCamera};
-use gripcast_imaging::{Role, draw_line};
+use gripcast_imaging::{Depth, DepthView, ObjectMotion, ObjectTracker, Role, draw_line};
 use gripcast_nn::predict::LiftHead;
-use gripcast_shear::GelMotion;
+use gripcast_shear::{GelMotion, LiftImage};
 
 /// Colour and width of the outline.
 const OUTLINE: Rgb<u8> = Rgb([0, 230, 255]);
 const OUTLINE_PX: f64 = 2.0;
+/// Maximum age of a depth image relative to the images of the gels, ns.
+const MAX_DEPTH_AGE_NS: u64 = 150_000_000;
 
 /// Draws the near face of the object's box into an image of the wrist camera.
 pub(super) fn draw_outline(image: &mut RgbImage, geometry: &GraspGeometry) {
@@ -29,25 +31,43 @@ pub(super) fn draw_outline(image: &mut RgbImage, geometry: &GraspGeometry) {
 #[derive(Clone, Debug)]
 pub(super) struct LiveLift {
     p_before: f64,
-    /// Both gels in the saved grasp, and in the last images with a verdict.
-    before: [GelMotion; 2],
-    previous: [GelMotion; 2],
-    /// Newer images, left and right.
+    /// The saved grasp, and the last images with a verdict.
+    before: LiftImage,
+    previous: LiftImage,
+    /// Newer images of the gels, left and right.
     newest: [Option<GelMotion>; 2],
+    /// Follows the object from the saved grasp on, if the depth camera sees it.
+    tracker: Option<ObjectTracker>,
+    /// Newest motion of the object, and the driver time of its image, ns.
+    object: Option<(ObjectMotion, u64)>,
     /// Driver time of the first alarm, ns.
     alarm_time_ns: Option<u64>,
 }
 
 impl LiveLift {
-    /// The lift of a grasp with this probability of a stable lift and these gels.
-    pub(super) fn new(p_before: f64, before: [GelMotion; 2]) -> Self {
+    /// The lift of a grasp with this probability of a stable lift, these gels and what the depth
+    /// camera sees of the object.
+    pub(super) fn new(p_before: f64, gels: [GelMotion; 2], tracker: Option<ObjectTracker>) -> Self {
+        let before = LiftImage {
+            gels,
+            object: tracker.as_ref().map(|_| ObjectMotion::NONE),
+        };
         Self {
             p_before,
             before,
             previous: before,
             newest: [None; 2],
+            tracker,
+            object: None,
             alarm_time_ns: None,
         }
+    }
+
+    /// Adds an image of the depth camera.
+    pub(super) fn add_depth(&mut self, depth: &Depth, view: DepthView, frame_time_ns: u64) {
+        let tracker = self.tracker.as_ref();
+        let motion = tracker.and_then(|tracker| tracker.motion(depth, view));
+        self.object = motion.map(|motion| (motion, frame_time_ns));
     }
 
     /// Adds what a gel shows; returns the verdict if the other gel also has a new image.
@@ -67,7 +87,13 @@ impl LiveLift {
         let [Some(left), Some(right)] = self.newest else {
             return None;
         };
-        let now = [left, right];
+        let is_new = |(_, time_ns): &(ObjectMotion, u64)| {
+            frame_time_ns.abs_diff(*time_ns) <= MAX_DEPTH_AGE_NS
+        };
+        let now = LiftImage {
+            gels: [left, right],
+            object: self.object.filter(is_new).map(|(motion, _)| motion),
+        };
         let verdict = head.verdict(self.p_before, &self.before, &self.previous, &now);
         self.previous = now;
         self.newest = [None; 2];
@@ -77,9 +103,10 @@ impl LiveLift {
         Some(LiftStatus {
             p_stable: verdict.p_stable,
             p_before: self.p_before,
-            threshold: head.threshold,
+            threshold: verdict.threshold,
             is_stable: verdict.is_stable,
             is_slipping: verdict.is_slipping,
+            object: now.object,
             alarm_time_ns: self.alarm_time_ns,
             frame_time_ns,
         })
@@ -89,7 +116,9 @@ impl LiveLift {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gripcast_nn::predict::lift::{FEATURES, MotionNetwork};
+    use gripcast_imaging::DepthImage;
+    use gripcast_nn::predict::LiftEstimator;
+    use gripcast_nn::predict::lift::{FEATURES, FEATURES_WITH_OBJECT, MotionNetwork};
 
     fn gel(level: f64) -> GelMotion {
         GelMotion {
@@ -102,14 +131,21 @@ mod tests {
 
     /// Reads the smaller ratio of the levels.
     fn head() -> LiftHead {
-        let mut weights = vec![0.0; FEATURES + 1];
-        weights[0] = 1.0;
         LiftHead {
+            gels: estimator(FEATURES, 0, [4.0, -2.0]),
+            with_object: None,
+        }
+    }
+
+    fn estimator(features: usize, feature: usize, output: [f64; 2]) -> LiftEstimator {
+        let mut weights = vec![0.0; features + 1];
+        weights[feature] = 1.0;
+        LiftEstimator {
             network: MotionNetwork {
-                mean: vec![0.0; FEATURES],
-                std: vec![1.0; FEATURES],
+                mean: vec![0.0; features],
+                std: vec![1.0; features],
                 hidden: vec![weights],
-                output: vec![4.0, -2.0],
+                output: output.to_vec(),
             },
             prior_weight: 1.0,
             motion_weight: 1.0,
@@ -122,7 +158,7 @@ mod tests {
     #[test]
     fn verdict_needs_new_images_of_both_gels() {
         let head = head();
-        let mut lift = LiveLift::new(0.5, [gel(10.0); 2]);
+        let mut lift = LiveLift::new(0.5, [gel(10.0); 2], None);
         assert_eq!(lift.add(&head, Role::Left, gel(10.0), 1), None);
         assert_eq!(lift.add(&head, Role::Rgb, gel(10.0), 2), None);
         let held = lift.add(&head, Role::Right, gel(10.0), 3).unwrap();
@@ -135,6 +171,43 @@ mod tests {
         lift.add(&head, Role::Left, gel(10.0), 6);
         let again = lift.add(&head, Role::Right, gel(10.0), 7).unwrap();
         assert!(!again.is_slipping && again.alarm_time_ns == Some(5));
+    }
+
+    #[test]
+    fn motion_of_the_object_counts_while_it_is_new() {
+        let head = LiftHead {
+            with_object: Some(estimator(FEATURES_WITH_OBJECT, FEATURES, [-2.0, 1.0])),
+            ..head()
+        };
+        let wall = |code: u16| Depth {
+            image: DepthImage::from_pixel(320, 240, image::Luma([code])),
+            unit_m: 1e-3,
+        };
+        let tracker = ObjectTracker::new(&wall(180), DepthView::Colour).unwrap();
+        let mut lift = LiveLift::new(0.5, [gel(10.0); 2], Some(tracker));
+        let mut both = |lift: &mut LiveLift, ms: u64| {
+            lift.add(&head, Role::Left, gel(10.0), ms * 1_000_000);
+            let status = lift.add(&head, Role::Right, gel(10.0), ms * 1_000_000);
+            status.unwrap()
+        };
+        assert_eq!(both(&mut lift, 0).object, None);
+        lift.add_depth(&wall(180), DepthView::Colour, 40_000_000);
+        let held = both(&mut lift, 40);
+        assert!(
+            held.object
+                .is_some_and(|motion| motion.between_mm == Some(0.0))
+                && held.is_stable
+        );
+        lift.add_depth(&wall(184), DepthView::Colour, 80_000_000);
+        let lost = both(&mut lift, 100);
+        assert!(
+            lost.object
+                .is_some_and(|motion| motion.between_mm.is_some_and(|mm| (3.0..5.0).contains(&mm)))
+        );
+        assert!(lost.is_slipping, "{lost:?}");
+        // The camera has stopped.
+        let unseen = both(&mut lift, 300);
+        assert!(unseen.object.is_none() && unseen.is_stable);
     }
 
     #[test]

@@ -13,7 +13,7 @@ use super::black_box::BlackBoxStatus;
 use super::start_report::StartFinding;
 use gripcast_capture::camera::{CameraCounters, CameraState, monotonic_ns};
 use gripcast_dataset::PredictionRecord;
-use gripcast_imaging::{ChangeKind, GelChange, GelState, Role, TactileDifference};
+use gripcast_imaging::{ChangeKind, GelChange, GelState, ObjectMotion, Role, TactileDifference};
 use gripcast_nn::predict::{Adaptation, PredictedLabel};
 use gripcast_session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
 use gripcast_shear::{FingerForce, MarkerField, ShearFrame, ShearSummary};
@@ -229,8 +229,8 @@ impl Preview {
 /// Verdict in the lift of the last saved grasp.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LiftStatus {
-    /// Probability that the grasp holds, from the prediction before the lift and what the gels have
-    /// shown since.
+    /// Probability that the grasp holds, from the prediction before the lift and what the gels and
+    /// the depth camera have shown since.
     pub p_stable: f64,
     /// Probability before the lift.
     pub p_before: f64,
@@ -240,6 +240,9 @@ pub struct LiftStatus {
     pub is_stable: bool,
     /// Whether the contact is being lost.
     pub is_slipping: bool,
+    /// Motion of the object since the saved grasp, as the depth camera sees it; null where it is not
+    /// measured.
+    pub object: Option<ObjectMotion>,
     /// Driver time of the first tactile frame in which it was being lost, ns.
     pub alarm_time_ns: Option<u64>,
     /// Driver time of the newest tactile frame, ns.

@@ -6,7 +6,9 @@ use std::time::Duration;
 
 use gripcast_capture::calibration::RigFile;
 use gripcast_capture::camera::{CameraOpener as _, Clock as _, FrameSource, ManualClock};
-use gripcast_imaging::{CropProfile, Decoder, Depth, DepthView, Frame, Role};
+use gripcast_imaging::{
+    CropProfile, Decoder, Depth, DepthView, Frame, ObjectMotion, ObjectTracker, Role,
+};
 use gripcast_nn::predict::contract::InputName;
 use gripcast_nn::predict::{InputImages, LiftVerdict, Model};
 use gripcast_shear::ExpectedMarkers;
@@ -64,16 +66,27 @@ impl Bench {
         self.decoder.decode(&frame, crop, 320, 240).unwrap()
     }
 
+    fn depth(&mut self) -> Depth {
+        let frame = self.frame(Role::Depth);
+        Depth {
+            image: self.decoder.depth(&frame).unwrap(),
+            unit_m: 1e-3,
+        }
+    }
+
     fn gels(&mut self) -> [RgbImage; 2] {
         GELS.map(|role| self.image(role))
     }
 }
 
 /// Verdicts by shown step of a lift: 1, 2, 3, 4, 5, 10, 15, … mm.
+type Verdicts = BTreeMap<usize, LiftVerdict>;
+
 struct Lift {
     held: bool,
     before: bool,
-    verdicts: BTreeMap<usize, LiftVerdict>,
+    /// From the gels alone, and with the motion of the object.
+    verdicts: [Verdicts; 2],
 }
 
 fn follow(bench: &mut Bench, model: &Model, m_per_px: f64) -> Lift {
@@ -84,11 +97,7 @@ fn follow(bench: &mut Bench, model: &Model, m_per_px: f64) -> Lift {
     let closed = bench.hand.scene_at(bench.clock.now_ns()).step;
     let grasp = bench.gels();
     let rgb = bench.image(Role::Rgb);
-    let frame = bench.frame(Role::Depth);
-    let depth = Depth {
-        image: bench.decoder.depth(&frame).unwrap(),
-        unit_m: 1e-3,
-    };
+    let depth = bench.depth();
     let tactile = |side: usize| InputImages::Tactile {
         initial: initial[side].clone(),
         grasp: grasp[side].clone(),
@@ -104,23 +113,34 @@ fn follow(bench: &mut Bench, model: &Model, m_per_px: f64) -> Lift {
     let prediction = predicted.unwrap().prediction;
 
     bench.hand.move_to(HandTarget::Lifted);
-    let frames: Vec<(usize, [RgbImage; 2])> = (0..25)
+    let tracker = ObjectTracker::new(&depth, DepthView::Colour).unwrap();
+    let frames: Vec<(usize, [RgbImage; 2], Option<ObjectMotion>)> = (0..25)
         .map(|_| {
             bench.clock.advance(40 * MS);
             let images = bench.gels();
-            (bench.hand.scene_at(bench.clock.now_ns()).step, images)
+            let object = tracker.motion(&bench.depth(), DepthView::Colour);
+            let step = bench.hand.scene_at(bench.clock.now_ns()).step;
+            (step, images, object)
         })
         .collect();
-    let found = model.lift_head().unwrap().follow(
-        prediction.p_stable,
-        initial.each_ref(),
-        grasp.each_ref(),
-        frames.iter().map(|(_, images)| images.each_ref()),
-        m_per_px,
-        ExpectedMarkers::None,
-    );
-    let steps = frames.iter().map(|(step, _)| step.saturating_sub(closed));
-    let verdicts: BTreeMap<usize, LiftVerdict> = steps.zip(found.unwrap()).collect();
+    let verdicts = [false, true].map(|with_object| {
+        let images = frames.iter().map(|(_, images, object)| {
+            let object = object.filter(|_| with_object);
+            (images.each_ref(), object)
+        });
+        let found = model.lift_head().unwrap().follow(
+            prediction.p_stable,
+            initial.each_ref(),
+            grasp.each_ref(),
+            images,
+            m_per_px,
+            ExpectedMarkers::None,
+        );
+        let steps = frames
+            .iter()
+            .map(|(step, _, _)| step.saturating_sub(closed));
+        steps.zip(found.unwrap()).collect()
+    });
     Lift {
         held,
         before: prediction.p_stable >= prediction.threshold,
@@ -133,7 +153,7 @@ fn verdict_in_the_lift_follows_held_and_lost_grasps() {
     let model = Model::by_name("gripcast-vt").unwrap();
     let m_per_px = SensorProfile::gelsight_mini().unwrap().geometry.pixel_m;
     let mut bench = Bench::new();
-    let mut right: BTreeMap<usize, Vec<String>> = BTreeMap::new();
+    let mut right: [BTreeMap<usize, Vec<String>>; 2] = Default::default();
     for _ in 0..8 {
         let clip = bench.hand.truth(bench.clock.now_ns()).clip;
         let lift = follow(&mut bench, &model, m_per_px);
@@ -141,21 +161,25 @@ fn verdict_in_the_lift_follows_held_and_lost_grasps() {
             "{clip}: held {}, before the lift {}",
             lift.held, lift.before
         );
-        for (step, verdict) in &lift.verdicts {
-            println!("{step:4} {verdict:?}");
-            assert!(!(lift.held && verdict.is_slipping), "{clip}: {step}");
-            if verdict.is_stable == lift.held {
-                right.entry(*step).or_default().push(clip.clone());
+        for (inputs, verdicts) in lift.verdicts.iter().enumerate() {
+            for (step, verdict) in verdicts {
+                println!("{inputs} {step:4} {verdict:?}");
+                assert!(!(lift.held && verdict.is_slipping), "{clip}: {step}");
+                if verdict.is_stable == lift.held {
+                    right[inputs].entry(*step).or_default().push(clip.clone());
+                }
             }
+            let (_, last) = verdicts.last_key_value().unwrap();
+            assert_eq!(last.is_stable, lift.held, "{clip}");
+            let is_alarmed = verdicts.values().any(|verdict| verdict.is_slipping);
+            assert_eq!(is_alarmed, !lift.held, "{clip}");
         }
-        let (_, last) = lift.verdicts.last_key_value().unwrap();
-        assert_eq!(last.is_stable, lift.held, "{clip}");
-        let is_alarmed = lift.verdicts.values().any(|verdict| verdict.is_slipping);
-        assert_eq!(is_alarmed, !lift.held, "{clip}");
         bench.hand.next_object();
     }
     println!("{right:?}");
     // Steps 2 and 6 are at 2 mm and at 10 mm.
-    assert!(right[&2].len() >= 6, "{:?}", right[&2]);
-    assert!(right[&6].len() >= 7, "{:?}", right[&6]);
+    let [gels, with_object] = right;
+    assert!(gels[&2].len() >= 6, "{:?}", gels[&2]);
+    assert!(gels[&6].len() >= 7, "{:?}", gels[&6]);
+    assert!(with_object[&2].len() == 8, "{:?}", with_object[&2]);
 }

@@ -1,5 +1,6 @@
 //! Depth images of the camera between the fingers, and their view from its colour camera.
 
+use gripcast_geometry::WristCamera;
 use image::Luma;
 
 use super::z16::DepthImage;
@@ -43,17 +44,17 @@ impl DepthView {
 
 /// The colour image that depths are wanted in, and the lenses.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ColourView {
+struct ColourView {
     /// Width of the colour image, px.
-    pub width: usize,
+    width: usize,
     /// Height of the colour image, px.
-    pub height: usize,
+    height: usize,
     /// Focal length of the colour image, px.
-    pub focal_px: f64,
+    focal_px: f64,
     /// Focal length of the depth image, px.
-    pub depth_focal_px: f64,
+    depth_focal_px: f64,
     /// Offset of the left imager to the right of the colour camera, m.
-    pub left_imager_m: f64,
+    left_imager_m: f64,
 }
 
 /// A depth image.
@@ -66,14 +67,27 @@ pub struct Depth {
 }
 
 impl Depth {
-    /// Depth of each pixel of the colour image, m, row-major; 0 is unknown.
+    /// Depth of each pixel of a colour image of `width` × `height` of the [`WristCamera`], m,
+    /// row-major; 0 is unknown. Lenses and their distance are nominal (D400 series data sheet).
     ///
     /// An aligned image is cropped to the aspect ratio of the colour image. Depths are those of the
     /// nearest pixels, as mixing depths across an edge would make points that do not exist. An image
     /// of the left imager, whose optical axes are parallel to those of the colour camera, is
     /// projected; the nearest surface hides others.
     #[must_use]
-    pub fn in_colour_image(&self, view: DepthView, colour: &ColourView) -> Vec<f64> {
+    pub fn in_colour_image(&self, view: DepthView, width: usize, height: usize) -> Vec<f64> {
+        let (columns, rows) = self.image.dimensions();
+        let colour = ColourView {
+            width,
+            height,
+            focal_px: WristCamera::focal_px(width, height),
+            depth_focal_px: WristCamera::depth_focal_px(columns as usize, rows as usize),
+            left_imager_m: WristCamera::LEFT_IMAGER_M,
+        };
+        self.seen_by(view, &colour)
+    }
+
+    fn seen_by(&self, view: DepthView, colour: &ColourView) -> Vec<f64> {
         let (width, height) = self.image.dimensions();
         if width == 0 || height == 0 {
             return vec![0.0; colour.width * colour.height];
@@ -170,10 +184,10 @@ mod tests {
             left_imager_m: 0.016,
         };
         // Disparities of 8 and 2 px.
-        let found = depth.in_colour_image(DepthView::LeftImager, &colour);
+        let found = depth.seen_by(DepthView::LeftImager, &colour);
         assert_eq!(found[24 * 64 + 28], 0.1);
         assert_eq!(found.iter().filter(|z| **z > 0.0).count(), 1);
-        let aligned = depth.in_colour_image(DepthView::Colour, &colour);
+        let aligned = depth.seen_by(DepthView::Colour, &colour);
         assert_eq!([aligned[24 * 64 + 20], aligned[24 * 64 + 26]], [0.1, 0.4]);
     }
 }

@@ -31,6 +31,7 @@ mod gel;
 mod gel_pattern;
 mod intrinsics;
 pub mod jpeg;
+mod object_motion;
 mod png;
 mod resample;
 mod srgb;
@@ -40,7 +41,7 @@ mod z16;
 pub use crop::{CropProfile, CropWindow};
 pub use damage::FrameDamage;
 pub use decode::{Decoder, check_structure};
-pub use depth::{ColourView, Depth, DepthView};
+pub use depth::{Depth, DepthView};
 pub use depth_preview::DEPTH_RANGE_M;
 pub use difference::TactileDifference;
 pub use drawing::{draw_arrow, draw_line};
@@ -53,6 +54,7 @@ pub use gel::{
 pub use gel_pattern::{GelContact, gel_image, synthetic_gel};
 pub use intrinsics::{DistortionModel, Intrinsics};
 pub use jpeg::{JpegDamage, JpegDecoder, JpegRepairs, encode_jpeg, whole_file};
+pub use object_motion::{ObjectMotion, ObjectTracker};
 pub use png::{
     decode_png, decode_png_grey16, decode_png_rgb, encode_png_grey8, encode_png_grey16,
     encode_png_rgb,

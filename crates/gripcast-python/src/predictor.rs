@@ -11,11 +11,14 @@ use super::failure::Outcome;
 use super::sensor::profile as named_profile;
 use super::work::{detached, interruptible, pool};
 use gripcast_base::error::{Error, Result};
-use gripcast_imaging::{CropProfile, Depth, DepthView, crop_and_resize};
+use gripcast_imaging::{CropProfile, Depth, DepthImage, DepthView, ObjectTracker, crop_and_resize};
 use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName};
 use gripcast_nn::predict::{InputImages, Model, SHIPPED, lift};
 use gripcast_shear::{ExpectedMarkers, USUAL_M_PER_PX};
 use gripcast_tactile::SensorProfile;
+
+/// Unit of depth images, m.
+const DEPTH_UNIT_M: f64 = 1e-3;
 
 /// Images of the left and the right gel.
 type Pair<'py> = [Bound<'py, PyAny>; 2];
@@ -58,10 +61,12 @@ impl Predictor {
     /// `lift` are the images (left, right) of the gels after `grasp`, in order and about 40 ms apart;
     /// `Prediction.lift` has the verdict on each. `profile` (a `SensorProfile`, a name or a file) is the
     /// sensor of these images, with their scale and gel markers; without it the images decide.
+    /// `lift_depth` are the depth images at the same times, of the same camera as `depth`: with them
+    /// the verdict also follows the motion of the object in the grip.
     #[allow(clippy::too_many_arguments)]
     #[pyo3(signature = (
         initial = None, grasp = None, rgb = None, depth = None, lift = None, *, depth_view = "colour",
-        crop = None, profile = None
+        crop = None, profile = None, lift_depth = None
     ))]
     fn predict(
         &self,
@@ -74,6 +79,7 @@ impl Predictor {
         depth_view: &str,
         crop: Option<&str>,
         profile: Option<&Bound<'_, PyAny>>,
+        lift_depth: Option<Vec<Bound<'_, PyAny>>>,
     ) -> Outcome<Prediction> {
         let views = DepthView::ALL.into_iter();
         let view = views.clone().find(|view| view.name() == depth_view);
@@ -106,6 +112,21 @@ impl Predictor {
         let depth = depth
             .map(|depth| depth_counts(&depth, "depth"))
             .transpose()?;
+        let mut lift_counts = Vec::new();
+        for (index, image) in lift_depth.iter().flatten().enumerate() {
+            lift_counts.push(depth_counts(image, &format!("lift_depth[{index}]"))?);
+        }
+        if lift_depth.is_some() {
+            if depth.is_none() {
+                return Err(missing("depth").into());
+            }
+            let (found, expected) = (lift_counts.len(), lift_images.len());
+            if found != expected {
+                let what =
+                    format!("`lift_depth` has {found} images, expected {expected} as `lift`");
+                return Err(Error::input(what).into());
+            }
+        }
         let gels = match (&initial, &grasp) {
             (Some(initial), Some(grasp)) => Some([initial, grasp]),
             (None, None) => None,
@@ -140,7 +161,7 @@ impl Predictor {
                             Ok(image.transpose()?.map(InputImages::Rgb))
                         }
                         InputName::Depth => Ok(depth.clone().map(|image| {
-                            let unit_m = 1e-3;
+                            let unit_m = DEPTH_UNIT_M;
                             InputImages::Depth(Depth { image, unit_m }, view)
                         })),
                     }
@@ -161,12 +182,25 @@ impl Predictor {
                 let images = lift_images.iter().enumerate();
                 let images = images.map(|(index, pair)| cropped(pair, &format!("lift[{index}]")));
                 let images = images.collect::<Result<Vec<_>>>()?;
+                let counts = |image: &DepthImage| Depth {
+                    image: image.clone(),
+                    unit_m: DEPTH_UNIT_M,
+                };
+                let before = depth
+                    .as_ref()
+                    .filter(|_| !lift_counts.is_empty())
+                    .map(counts);
+                let tracker = before.and_then(|before| ObjectTracker::new(&before, view));
+                let objects = (0..images.len()).map(|index| {
+                    let image = counts(lift_counts.get(index)?);
+                    tracker.as_ref()?.motion(&image, view)
+                });
                 let scale = profile.as_ref().map(|profile| profile.geometry.pixel_m);
                 head.follow(
                     p_before,
                     initial.each_ref(),
                     grasp.each_ref(),
-                    images.iter().map(<[RgbImage; 2]>::each_ref),
+                    images.iter().map(<[RgbImage; 2]>::each_ref).zip(objects),
                     scale.unwrap_or(USUAL_M_PER_PX),
                     profile
                         .as_ref()

@@ -35,7 +35,7 @@ mod tracker;
 mod tracker_test;
 
 pub use force::FingerForce;
-pub use gel_motion::{GelMotion, LiftMotion};
+pub use gel_motion::{GelMotion, LiftImage, LiftMotion};
 pub use marker::{GelMarker, MarkerField, MarkerPattern, covered};
 pub use problem::ShearProblem;
 pub use tracker::{

@@ -330,12 +330,13 @@ impl<'a> SimulationRunner<'a> {
         for rendering in 0..count {
             let seed = rendering_seed(simulation.seed, rendering);
             let [initial, pressed] = self.renderer.tactile(grasp, seed)?;
-            let lift = self.renderer.lift(grasp, seed)?;
+            let mut lift = self.renderer.lift(grasp, seed)?;
             result.cpu_s.tactile += clock.lap();
             let shown = simulation.appearance;
             let (appearance, model) =
                 draw_appearance(object, shown, &self.root, &setup.mesh, seed)?;
-            let [grasp_rgb, grasp_depth] = self.renderer.wrist(grasp, &model, seed)?;
+            let images = self.renderer.wrist(grasp, &model, seed, lift.as_mut())?;
+            let [grasp_rgb, grasp_depth] = images;
             result.cpu_s.visual += clock.lap();
             let [initial_left, initial_right] = initial;
             let [grasp_left, grasp_right] = pressed;

@@ -1,10 +1,17 @@
 //! Images of a simulated grasp as the rig's cameras would take them.
 
+use std::ops::Range;
+
+use image::imageops;
+
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::{CREASE_RAD, TriangleMesh, curved};
-use gripcast_imaging::{TactileDifference, encode_jpeg, encode_png_grey16};
-use gripcast_shear::{ExpectedMarkers, GelMotion, LiftMotion, ShearTracker};
+use gripcast_imaging::{
+    Depth, DepthImage, DepthView, ObjectMotion, ObjectTracker, TactileDifference, encode_jpeg,
+    encode_png_grey16,
+};
+use gripcast_shear::{ExpectedMarkers, GelMotion, LiftImage, LiftMotion, ShearTracker};
 use gripcast_sim::GraspSetup;
 use gripcast_sim::grasp::{Finger, Snapshot};
 use gripcast_sim::solver::GelMaterial;
@@ -13,8 +20,9 @@ use gripcast_tactile::{
     SensorVariation, SimulatedGel, TactileScene, depth_under_force, foundation_pa_m,
 };
 use gripcast_visual::{
-    ColourSettings, DepthSettings, GraspState, Model, RenderControl, RenderSettings, Renderer,
-    View, VisualRandomisation, denoise, develop, grasp_scene, measure_depth,
+    Camera, ColourSettings, DepthSettings, GraspDepth, GraspState, Model, RenderControl,
+    RenderSettings, Renderer, View, VisualRandomisation, denoise, develop, grasp_scene,
+    measure_depth,
 };
 
 use super::plan::RenderingPlan;
@@ -28,6 +36,10 @@ const QUALITY: u8 = 92;
 
 /// Sensor with gel markers.
 const MARKED_SENSOR: &str = "gelsight-mini-markers";
+
+/// Columns of the depth images in the lift, px: the object between the fingers and beside them, and
+/// the fingers, which hide it from an imager.
+const LIFT_COLUMNS: Range<usize> = 90..230;
 
 /// Edge length of the surface that tactile images show, m: the facets of simulation meshes are a
 /// few millimetres wide and would be visible.
@@ -158,8 +170,8 @@ impl SampleRenderer {
         Ok([[a, c], [b, d]])
     }
 
-    /// Renders the tactile images of the lift, half of the samples with gel markers, and measures
-    /// what the gels show in them; none without simulated gels or states of the lift.
+    /// Renders the tactile images before and in the lift, half of the samples with gel markers, and
+    /// measures what the gels show in them; none without simulated gels or states of the lift.
     ///
     /// # Errors
     /// `Input` if a snapshot does not belong to the gel.
@@ -195,14 +207,15 @@ impl SampleRenderer {
                 .collect()
         };
         let (left, right) = (follow(Finger::Left)?, follow(Finger::Right)?);
-        let frames = left.into_iter().zip(right);
+        let gels = left.into_iter().zip(right);
+        let images = gels.map(|(left, right)| LiftImage::from([left, right]));
         Ok(Some(LiftMotion {
-            frames: frames.map(|(left, right)| [left, right]).collect(),
+            images: images.collect(),
         }))
     }
 
     /// Renders the images of the wrist camera: colour, JPEG, and depth aligned to it, 16-bit PNG,
-    /// mm.
+    /// mm. Its depth images of the lift give the motion of the object.
     ///
     /// # Errors
     /// `Input` if the camera would be inside an object.
@@ -211,6 +224,7 @@ impl SampleRenderer {
         grasp: &PreLiftGrasp<'_>,
         model: &Model,
         seed: u64,
+        lift: Option<&mut LiftMotion>,
     ) -> Result<[Vec<u8>; 2]> {
         let mut draw = SeedStream::named(seed, "visual");
         let conditions = self.visual.sample(draw.bits());
@@ -228,8 +242,44 @@ impl SampleRenderer {
         let exact_m = renderer.depth(&scene.camera)?;
         let settings = DepthSettings::sample(draw.bits(), self.plan.visual_spread);
         let depth = measure_depth(&exact_m, &scene.camera, &settings, draw.bits())?;
+        if let Some(lift) = lift {
+            let first = (&depth, &scene.camera);
+            follow_object(grasp, first, &settings, &mut draw, lift)?;
+        }
         Ok([encode_jpeg(&image, QUALITY)?, encode_png_grey16(&depth)?])
     }
+}
+
+/// Follows the object in the depth images of a lift, which start with `before`; `camera` is that of
+/// the colour image.
+fn follow_object(
+    grasp: &PreLiftGrasp<'_>,
+    (before, camera): (&DepthImage, &Camera),
+    settings: &DepthSettings,
+    draw: &mut SeedStream,
+    lift: &mut LiftMotion,
+) -> Result<()> {
+    let depth = |image: DepthImage| Depth {
+        image,
+        unit_m: settings.unit_m,
+    };
+    let tracker = ObjectTracker::new(&depth(before.clone()), DepthView::Colour);
+    let (Some(tracker), Some((first, rest))) = (tracker, lift.images.split_first_mut()) else {
+        return Ok(());
+    };
+    first.object = Some(ObjectMotion::NONE);
+    let (columns, rows) = (LIFT_COLUMNS, tracker.rows());
+    let part = camera.cropped(columns.clone(), rows.clone());
+    let rendered = GraspDepth::new(&grasp.setup.mesh, &grasp.state()?, part)?;
+    for (image, snapshot) in rest.iter_mut().zip(grasp.lift) {
+        let (gripper, object) = (&snapshot.t_world_gripper, &snapshot.t_world_object);
+        let exact_m = rendered.render(gripper, object)?;
+        let part = measure_depth(&exact_m, &rendered.camera(gripper), settings, draw.bits())?;
+        let mut seen = DepthImage::new(VIEW[0] as u32, VIEW[1] as u32);
+        imageops::replace(&mut seen, &part, columns.start as i64, rows.start as i64);
+        image.object = tracker.motion(&depth(seen), DepthView::Colour);
+    }
+    Ok(())
 }
 
 /// Returns the seed of one rendering of a simulation.

@@ -19,7 +19,7 @@ use super::samples::{SampleFacts, SampleReader, Samples};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Decoder, TactileDifference};
 use gripcast_nn::predict::contract::{InputName, Modality, Origin, OutputSpec};
-use gripcast_nn::predict::{Model, ModelInput};
+use gripcast_nn::predict::{LiftHead, Model, ModelInput};
 
 /// Samples read together.
 const CHUNK: usize = 64;
@@ -100,6 +100,9 @@ pub struct ModelEvaluation {
     /// Verdict in the lift that follows from this prediction.
     #[serde(default)]
     pub lift: Option<LiftEvaluation>,
+    /// The same without the motion of the object, where it was used.
+    #[serde(default)]
+    pub lift_from_gels: Option<LiftEvaluation>,
     /// The most confident mistakes: stable grasps, then slips.
     pub mistakes: Vec<Mistake>,
     /// All predictions.
@@ -442,6 +445,12 @@ impl ModelEvaluation {
         let head = model.lift_head();
         // Fitted to the prediction from all inputs.
         let head = head.filter(|_| output.modality == model.contract().modality);
+        let lift = head.and_then(|head| LiftEvaluation::new(head, samples, &p_before));
+        let uses_object = lift.as_ref().is_some_and(|lift| lift.with_object > 0.0);
+        let from_gels = head.filter(|_| uses_object).map(|head| LiftHead {
+            with_object: None,
+            ..head.clone()
+        });
         let bootstrap = Bootstrap::new(SEED);
         Self {
             name: model.contract().name.clone(),
@@ -463,7 +472,9 @@ impl ModelEvaluation {
                 Some(force_n) => format!("{force_n:>4} N"),
                 None => "unknown".to_owned(),
             }),
-            lift: head.and_then(|head| LiftEvaluation::new(head, samples, &p_before)),
+            lift,
+            lift_from_gels: from_gels
+                .and_then(|head| LiftEvaluation::new(&head, samples, &p_before)),
             mistakes: mistakes(&scored, samples, threshold),
             predictions: predictions
                 .into_iter()

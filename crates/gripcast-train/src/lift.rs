@@ -10,9 +10,10 @@ use super::validate::Logit;
 use gripcast_base::linear::NormalEquations;
 use gripcast_base::random::SeedStream;
 use gripcast_nn::predict::lift::{
-    FEATURES, Features, LiftHead, LiftVerdict, MotionNetwork, features, is_lost,
+    LiftEstimator, LiftHead, LiftVerdict, MotionNetwork, features_with_object, gel_features,
+    is_lost,
 };
-use gripcast_shear::LiftMotion;
+use gripcast_shear::{LiftImage, LiftMotion};
 
 /// Rise of the gripper between the images of a simulated lift, m.
 const STEP_M: f64 = 8e-4;
@@ -33,24 +34,45 @@ const MIN_LIFTS: usize = 20;
 /// Images between alarm and loss that leave time to react: 80 ms.
 const LEAD: usize = 2;
 
-/// Features of each image of a lift after the first, up to the loss of contact.
-fn sequence(motion: &LiftMotion) -> Vec<Features> {
-    let Some(before) = motion.frames.first() else {
-        return Vec::new();
-    };
-    let pairs = motion.frames.windows(2);
-    pairs
-        .filter(|pair| !is_lost(before, &pair[0], &pair[1]))
-        .map(|pair| features(before, &pair[0], &pair[1]))
-        .collect()
+/// What an estimator reads.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Reads {
+    Gels,
+    GelsAndObject,
+}
+
+impl Reads {
+    fn features(
+        self,
+        before: &LiftImage,
+        previous: &LiftImage,
+        now: &LiftImage,
+    ) -> Option<Vec<f64>> {
+        match self {
+            Self::Gels => Some(gel_features(before, previous, now)),
+            Self::GelsAndObject => features_with_object(before, previous, now),
+        }
+    }
+
+    /// Features of each image of a lift after the first, up to the loss of contact.
+    fn sequence(self, motion: &LiftMotion) -> Vec<Vec<f64>> {
+        let Some(before) = motion.images.first() else {
+            return Vec::new();
+        };
+        let pairs = motion.images.windows(2);
+        pairs
+            .filter(|pair| !is_lost(before, &pair[0], &pair[1]))
+            .filter_map(|pair| self.features(before, &pair[0], &pair[1]))
+            .collect()
+    }
 }
 
 /// Verdict on each image of a lift after the first.
 fn verdicts(head: &LiftHead, p_before: f64, motion: &LiftMotion) -> Vec<LiftVerdict> {
-    let Some(before) = motion.frames.first() else {
+    let Some(before) = motion.images.first() else {
         return Vec::new();
     };
-    let pairs = motion.frames.windows(2);
+    let pairs = motion.images.windows(2);
     pairs
         .map(|pair| head.verdict(p_before, before, &pair[0], &pair[1]))
         .collect()
@@ -58,18 +80,18 @@ fn verdicts(head: &LiftHead, p_before: f64, motion: &LiftMotion) -> Vec<LiftVerd
 
 /// Image from which a finger has lost contact, if it has.
 fn loss(motion: &LiftMotion) -> Option<usize> {
-    let before = motion.frames.first()?;
-    let is_lost = |frame: &[gripcast_shear::GelMotion; 2]| {
-        let gels = frame.iter().zip(before);
+    let before = motion.images.first()?;
+    let is_lost = |image: &LiftImage| {
+        let gels = image.gels.iter().zip(&before.gels);
         gels.into_iter()
             .any(|(now, before)| before.contact_fraction > 0.0 && now.contact_fraction <= 0.0)
     };
-    motion.frames.iter().position(is_lost)
+    motion.images.iter().position(is_lost)
 }
 
 /// A row of training data.
 struct Row {
-    features: Features,
+    features: Vec<f64>,
     is_stable: bool,
     weight: f64,
 }
@@ -83,10 +105,10 @@ fn image_weights(images: usize) -> Vec<f64> {
         .collect()
 }
 
-fn rows<'a>(facts: impl Iterator<Item = &'a SampleFacts>) -> Vec<Row> {
+fn rows(samples: &Samples, reads: Reads) -> Vec<Row> {
     let of_lift = |facts: &SampleFacts| {
-        let sequence = facts.lift_motion.as_ref().map(sequence);
-        let sequence = sequence.unwrap_or_default();
+        let motion = facts.lift_motion.as_ref();
+        let sequence = motion.map_or_else(Vec::new, |motion| reads.sequence(motion));
         let is_stable = facts.is_stable;
         let weights = image_weights(sequence.len());
         sequence
@@ -98,12 +120,11 @@ fn rows<'a>(facts: impl Iterator<Item = &'a SampleFacts>) -> Vec<Row> {
                 weight,
             })
     };
-    facts.flat_map(of_lift).collect()
+    samples.facts().iter().flat_map(of_lift).collect()
 }
 
-/// Fits the lift head on the training split and its combination with the prediction before the
-/// lift on the validation split, whose logits and temperature are given. None with too few lifts
-/// that show the motion.
+/// Fits the lift head; the motion of the object is used if enough lifts have it. None with too few
+/// lifts that show the motion.
 pub(super) fn fit(
     train: &Samples,
     validation: &Samples,
@@ -111,28 +132,48 @@ pub(super) fn fit(
     temperature: f64,
     seed: u64,
 ) -> Option<LiftHead> {
+    let estimator = |reads| fit_estimator(reads, train, validation, logits, temperature, seed);
+    Some(LiftHead {
+        gels: estimator(Reads::Gels)?,
+        with_object: estimator(Reads::GelsAndObject),
+    })
+}
+
+/// Fits an estimator on the training split and its combination with the prediction before the
+/// lift on the validation split, whose logits and temperature are given.
+fn fit_estimator(
+    reads: Reads,
+    train: &Samples,
+    validation: &Samples,
+    logits: &[Logit],
+    temperature: f64,
+    seed: u64,
+) -> Option<LiftEstimator> {
     for samples in [train, validation] {
         let known = |label: bool| {
             let facts = samples.facts().iter();
-            let lifts = facts.filter(|f| f.is_stable == label && f.lift_motion.is_some());
+            let lifts = facts.filter(|facts| {
+                let motion = facts.lift_motion.as_ref();
+                facts.is_stable == label && motion.is_some_and(|m| !reads.sequence(m).is_empty())
+            });
             lifts.count() >= MIN_LIFTS
         };
         if !(known(true) && known(false)) {
             return None;
         }
     }
-    let network = train_network(&rows(train.facts().iter()), seed)?;
+    let network = train_network(&rows(train, reads), seed)?;
     let samples: Vec<(f64, Vec<f64>, bool)> = logits
         .iter()
         .zip(validation.facts())
         .filter_map(|(logit, facts)| {
-            let motion = sequence(facts.lift_motion.as_ref()?);
+            let motion = reads.sequence(facts.lift_motion.as_ref()?);
             let motion = motion.iter().map(|features| network.logit(features));
             Some((logit.logit / temperature, motion.collect(), facts.is_stable))
         })
         .collect();
     let [prior_weight, motion_weight, offset] = combine(&samples)?;
-    let mut head = LiftHead {
+    let mut estimator = LiftEstimator {
         network,
         prior_weight,
         motion_weight,
@@ -144,25 +185,25 @@ pub(super) fn fit(
         .iter()
         .flat_map(|(prior, motion, stable)| {
             motion.iter().map(|motion| Scored {
-                p_stable: head.probability(*prior, *motion),
+                p_stable: estimator.probability(*prior, *motion),
                 stable: *stable,
             })
         })
         .collect();
-    head.threshold = youden_threshold(&scored)?.clamp(0.01, 0.99);
+    estimator.threshold = youden_threshold(&scored)?.clamp(0.01, 0.99);
     let held = samples.iter().filter(|(_, _, stable)| *stable);
     let mut least: Vec<f64> = held
         .map(|(prior, motion, _)| {
             let all = motion
                 .iter()
-                .map(|motion| head.probability(*prior, *motion));
+                .map(|motion| estimator.probability(*prior, *motion));
             all.fold(1.0, f64::min)
         })
         .collect();
     least.sort_by(f64::total_cmp);
     let allowed = (ALARMED_FRACTION * least.len() as f64) as usize;
-    head.alarm = least.get(allowed)?.clamp(0.0, head.threshold);
-    Some(head)
+    estimator.alarm = least.get(allowed)?.clamp(0.0, estimator.threshold);
+    Some(estimator)
 }
 
 /// Trains the network on the motion by full-batch Adam (Kingma and Ba, 2015).
@@ -172,10 +213,11 @@ fn train_network(rows: &[Row], seed: u64) -> Option<MotionNetwork> {
         let sum: f64 = rows.iter().map(|row| row.weight * value(row)).sum();
         sum / total
     };
-    let mean: Vec<f64> = (0..FEATURES)
+    let features = rows.first()?.features.len();
+    let mean: Vec<f64> = (0..features)
         .map(|i| mean_of(&|row| row.features[i]))
         .collect();
-    let std: Vec<f64> = (0..FEATURES)
+    let std: Vec<f64> = (0..features)
         .map(|i| {
             mean_of(&|row| (row.features[i] - mean[i]).powi(2))
                 .sqrt()
@@ -183,9 +225,9 @@ fn train_network(rows: &[Row], seed: u64) -> Option<MotionNetwork> {
         })
         .collect();
     let mut draw = SeedStream::named(seed, "lift");
-    let bound = (6.0 / FEATURES as f64).sqrt();
+    let bound = (6.0 / features as f64).sqrt();
     let hidden = (0..HIDDEN).map(|_| {
-        let weights = (0..FEATURES).map(|_| draw.between(-bound, bound));
+        let weights = (0..features).map(|_| draw.between(-bound, bound));
         let mut weights: Vec<f64> = weights.collect();
         weights.push(0.0);
         weights
@@ -203,7 +245,7 @@ fn train_network(rows: &[Row], seed: u64) -> Option<MotionNetwork> {
         .iter()
         .map(|row| network.standardised(&row.features).collect())
         .collect();
-    let count = HIDDEN * (FEATURES + 1) + HIDDEN + 1;
+    let count = HIDDEN * (features + 1) + HIDDEN + 1;
     let (mut first, mut second) = (vec![0.0; count], vec![0.0; count]);
     for step in 1..=EPOCHS {
         let gradient = gradient(&network, rows, &inputs, total);
@@ -228,7 +270,8 @@ fn train_network(rows: &[Row], seed: u64) -> Option<MotionNetwork> {
 
 /// Gradient of the mean cross entropy in the order of the parameters.
 fn gradient(network: &MotionNetwork, rows: &[Row], inputs: &[Vec<f64>], total: f64) -> Vec<f64> {
-    let width = FEATURES + 1;
+    let features = network.mean.len();
+    let width = features + 1;
     let mut gradient = vec![0.0; HIDDEN * width + HIDDEN + 1];
     for (row, input) in rows.iter().zip(inputs) {
         let hidden = network.hidden(&row.features);
@@ -244,7 +287,7 @@ fn gradient(network: &MotionNetwork, rows: &[Row], inputs: &[Vec<f64>], total: f
                 for (gradient, input) in of_unit.iter_mut().zip(input) {
                     *gradient += back * input;
                 }
-                of_unit[FEATURES] += back;
+                of_unit[features] += back;
             }
         }
         gradient[HIDDEN * width + HIDDEN] += slope;
@@ -307,6 +350,9 @@ pub struct LiftPoint {
 pub struct LiftEvaluation {
     /// Lifts with motion: all, and those that slip.
     pub lifts: [usize; 2],
+    /// Fraction of the images in which the motion of the object was used.
+    #[serde(default)]
+    pub with_object: f64,
     /// Metrics by rise.
     pub points: Vec<LiftPoint>,
     /// Fraction of held lifts that give an alarm, with its 95 % interval over objects.
@@ -338,23 +384,23 @@ impl LiftEvaluation {
         let (_, objects) = grouped(&facts, |facts| facts.object.clone());
         let bootstrap = Bootstrap::new(SEED);
         let point = |image: usize| {
-            // A lift without this image keeps its last verdict.
-            let scored: Vec<Scored> = lifts
-                .iter()
-                .map(|(facts, _, verdicts)| Scored {
-                    p_stable: verdicts
-                        .get(image)
-                        .or(verdicts.last())
-                        .map_or(0.5, |verdict| verdict.p_stable),
+            let scored = |score: &dyn Fn(&LiftVerdict) -> f64| -> Vec<Scored> {
+                let of_lift = |(facts, _, verdicts): &Lift<'_>| Scored {
+                    // A lift without this image keeps its last verdict.
+                    p_stable: verdicts.get(image).or(verdicts.last()).map_or(0.5, score),
                     stable: facts.is_stable,
-                })
-                .collect();
-            let metrics = ResampledMetrics::new(&scored, head.threshold);
+                };
+                lifts.iter().map(of_lift).collect()
+            };
+            let metrics = ResampledMetrics::new(&scored(&|v| v.p_stable), 0.5);
+            // Thresholds differ with and without the motion of the object.
+            let decisions = scored(&|v| f64::from(u8::from(v.is_stable)));
+            let decisions = ResampledMetrics::new(&decisions, 0.5);
             LiftPoint {
                 lifted_m: (image + 1) as f64 * STEP_M,
                 auroc: bootstrap.interval(&objects, |times| metrics.auroc(times)),
                 balanced_accuracy: bootstrap
-                    .interval(&objects, |times| metrics.balanced_accuracy(times)),
+                    .interval(&objects, |times| decisions.balanced_accuracy(times)),
             }
         };
         let is_alarmed = |verdicts: &[LiftVerdict]| verdicts.iter().any(|v| v.is_slipping);
@@ -377,7 +423,13 @@ impl LiftEvaluation {
                 super::metrics::resampled_mean(&values, times)
             })
         };
+        let images = lifts
+            .iter()
+            .flat_map(|(_, motion, _)| motion.images.iter().skip(1));
+        let uses_object = |image: &LiftImage| head.with_object.is_some() && image.object.is_some();
+        let with_object = images.clone().filter(|image| uses_object(image)).count();
         Some(Self {
+            with_object: with_object as f64 / images.count().max(1) as f64,
             lifts: [
                 lifts.len(),
                 lifts

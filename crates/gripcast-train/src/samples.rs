@@ -32,7 +32,7 @@ pub struct SampleFacts {
     pub stop_force_n: Option<f64>,
     /// Extents of the object in the gripper frame, if known.
     pub geometry: Option<GraspGeometry>,
-    /// What the gels show in the lift, if known.
+    /// What gels and wrist camera show in the lift, if known.
     pub lift_motion: Option<LiftMotion>,
 }
 

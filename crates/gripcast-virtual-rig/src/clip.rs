@@ -6,13 +6,13 @@
 //! | --- | --- |
 //! | `NAME.trace.bin` | trace of the grasp and its fields, if recorded, thinned to the shown steps |
 //! | `NAME.colour.jpg` | images of the D435's colour camera at the keyframes, stacked vertically |
-//! | `NAME.depth.png` | noise-free depth images at the same keyframes, 16 bits, mm |
+//! | `NAME.depth.png` | noise-free depth images at their own keyframes, 16 bits, mm |
 //! | `NAME.external.jpg` | images of the external camera at its own keyframes |
 //! | `NAME.sheet.toml` | board file of the sheet under the object |
 //!
 //! The `clip` entry of the trace header lists the keyframes (as indices of shown steps) and the
 //! intrinsics of the external camera:
-//! `{"keys": [0, 3, …], "external_keys": [0, …], "external_camera": {…}}`. Between two keyframes the
+//! `{"keys": [0, 3, …], "depth_keys": [0, 3, …], "external_keys": [0, …], "external_camera": {…}}`. Between two keyframes the
 //! image of the earlier one is shown. Tactile images are not stored: they are rendered from the
 //! trace at each step.
 
@@ -97,8 +97,10 @@ impl ClipFiles {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Keyframes {
-    /// Steps with an image of the colour and the depth camera, ascending from 0.
+    /// Steps with an image of the colour camera, ascending from 0.
     pub keys: Vec<usize>,
+    /// Steps with an image of the depth camera, ascending from 0: also all steps of the lift.
+    pub depth_keys: Vec<usize>,
     /// Steps with an image of the external camera, ascending from 0.
     pub external_keys: Vec<usize>,
     /// Intrinsics of the external camera.
@@ -107,7 +109,7 @@ pub struct Keyframes {
 
 impl Keyframes {
     fn validate(&self, steps: usize) -> Result<()> {
-        for keys in [&self.keys, &self.external_keys] {
+        for keys in [&self.keys, &self.depth_keys, &self.external_keys] {
             let ascending = keys.windows(2).all(|pair| pair[0] < pair[1]);
             let within = keys.last().is_some_and(|last| *last < steps);
             if keys.first() != Some(&0) || !ascending || !within {
@@ -274,9 +276,14 @@ impl Clip {
         }
     }
 
-    /// Returns the index of the colour and depth image at a step.
+    /// Returns the index of the colour image at a step.
     pub(super) fn key_at(&self, step: usize) -> usize {
         key_at(&self.header.clip.keys, step)
+    }
+
+    /// Returns the index of the depth image at a step.
+    pub(super) fn depth_key_at(&self, step: usize) -> usize {
+        key_at(&self.header.clip.depth_keys, step)
     }
 
     /// Returns the index of the external image at a step.
@@ -336,7 +343,7 @@ impl Clip {
         let at = |e: Error| e.at(format!("{}{DEPTH}", self.name));
         let strip = decode_png_grey16(&self.files.depth).map_err(at)?;
         let (width, height) = (strip.width(), strip.height());
-        let rows = image_rows(height, &self.header.clip.keys).map_err(at)?;
+        let rows = image_rows(height, &self.header.clip.depth_keys).map_err(at)?;
         let length = width as usize * rows as usize;
         let images = strip.as_raw().chunks_exact(length).map(|rows_mm| {
             DepthImage::from_vec(width, rows, rows_mm.to_vec())

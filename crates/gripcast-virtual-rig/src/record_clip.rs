@@ -96,7 +96,7 @@ pub fn record_clip(
     let prints = AnnotationMarkers::new(&sheet.flat_print()?, &tags.flat_prints())?;
     let beside = annotation_camera(&clip_scene.state(0)?, settings.external, settings.seed);
     let keys = keyframes(trace, &shown, beside.intrinsics());
-    let all = keys.keys.len() + keys.external_keys.len();
+    let all = keys.keys.len() + keys.depth_keys.len() + keys.external_keys.len();
     let steps = |keys: &[usize]| -> Vec<usize> { keys.iter().map(|key| shown[*key]).collect() };
 
     let mut colour = Vec::new();
@@ -105,21 +105,20 @@ pub fn record_clip(
     // The camera poses do not change during the clip.
     let before = clip_scene.state(0)?;
     let hand = view.camera(&before, &clip_scene.conditions);
-    let stereo = View::EyeInHand(settings.depth).camera(&before, &clip_scene.conditions);
+    let stereo_view = View::EyeInHand(settings.depth);
+    let stereo = stereo_view.camera(&before, &clip_scene.conditions);
     for step in steps(&keys.keys) {
         on_progress(colour.len(), all);
-        let scene = grasp_scene(
-            model,
-            &clip_scene.state(step)?,
-            &clip_scene.conditions,
-            view,
-        )?;
-        let renderer = Renderer::new(&scene)?;
+        let renderer = clip_scene.hand_renderer(model, step, view)?;
         colour.push(clip_scene.image(
             &renderer,
             &clip_scene.lifted_camera(&hand, step),
             ColourSettings::default().blur_px,
         )?);
+    }
+    for step in steps(&keys.depth_keys) {
+        on_progress(colour.len() + depth.len(), all);
+        let renderer = clip_scene.hand_renderer(model, step, stereo_view)?;
         depth.push(depth_image(
             &renderer,
             &clip_scene.lifted_camera(&stereo, step),
@@ -127,7 +126,7 @@ pub fn record_clip(
     }
     let mut external = Vec::new();
     for step in steps(&keys.external_keys) {
-        on_progress(colour.len() + external.len(), all);
+        on_progress(colour.len() + depth.len() + external.len(), all);
         let state = clip_scene.state(step)?;
         let scene = annotation_scene(model, &state, &clip_scene.conditions, beside, &prints)?;
         external.push(clip_scene.image(&Renderer::new(&scene)?, &beside, 0.0)?);
@@ -186,6 +185,12 @@ impl ClipScene<'_> {
             opening_m: current.opening_m,
             gels: None,
         })
+    }
+
+    /// Returns the renderer of the cameras on the gripper at a step.
+    fn hand_renderer(&self, model: &Model, step: usize, view: View) -> Result<Renderer> {
+        let state = self.state(step)?;
+        Renderer::new(&grasp_scene(model, &state, &self.conditions, view)?)
     }
 
     fn image(&self, renderer: &Renderer, camera: &Camera, blur_px: f32) -> Result<RgbImage> {
@@ -270,10 +275,19 @@ fn keyframes(trace: &Trace, shown: &[usize], external_camera: Intrinsics) -> Key
     let lifting = (before_lift + LIFT_START_STEPS - 1).min(shown.len());
     keys.extend(spread(lifting, shown.len(), LIFTING_KEYS));
     keys.dedup();
+    // The motion of the object in the lift is measured in depth images.
+    let mut depth_keys: Vec<usize> = keys
+        .iter()
+        .copied()
+        .chain(before_lift..shown.len())
+        .collect();
+    depth_keys.sort_unstable();
+    depth_keys.dedup();
     let mut external_keys = vec![0, before_lift.saturating_sub(1), shown.len() - 1];
     external_keys.dedup();
     Keyframes {
         keys,
+        depth_keys,
         external_keys,
         external_camera,
     }

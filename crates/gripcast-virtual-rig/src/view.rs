@@ -111,7 +111,7 @@ impl DepthRenderer {
             Some((grasp, images)) if grasp == scene.grasp => images,
             _ => scene.clip.depth_mm()?,
         };
-        let image = &images[scene.clip.key_at(scene.step)];
+        let image = &images[scene.clip.depth_key_at(scene.step)];
         let (width, height) = self.size;
         let [across, down] = centred(image.dimensions(), self.size);
         let mut depth_m = Vec::with_capacity(width as usize * height as usize);

@@ -1,5 +1,7 @@
 //! Pinhole camera.
 
+use std::ops::Range;
+
 use glam::{DVec3, Vec3};
 
 use super::material::ensure;
@@ -76,6 +78,18 @@ impl Camera {
                 p.z,
             ]
         })
+    }
+
+    /// The camera of a part of the image: its columns and rows.
+    #[must_use]
+    pub fn cropped(&self, columns: Range<usize>, rows: Range<usize>) -> Self {
+        let [column, row] = self.principal_px;
+        Self {
+            width: columns.len(),
+            height: rows.len(),
+            principal_px: [column - columns.start as f64, row - rows.start as f64],
+            ..*self
+        }
     }
 
     pub(super) fn validate(&self) -> Result<()> {

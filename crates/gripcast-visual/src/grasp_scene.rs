@@ -105,8 +105,20 @@ fn compose(
         _ => GROUND_PX,
     };
     ground(conditions, ground_px)?.add_to(&mut scene, &table);
-    let body = gripper(state, conditions.print_colour, with_camera)?;
-    body.add_to(&mut scene, &state.t_world_gripper);
+    add_gripper(&mut scene, state, conditions.print_colour, with_camera)?;
+    scene.validate()?;
+    Ok(scene)
+}
+
+/// Adds the gripper and its gels.
+pub(super) fn add_gripper(
+    scene: &mut Scene,
+    state: &GraspState,
+    print: [f32; 3],
+    with_camera: bool,
+) -> Result<()> {
+    let body = gripper(state, print, with_camera)?;
+    body.add_to(scene, &state.t_world_gripper);
     if let Some(gels) = &state.gels {
         let meshes = gels
             .iter()
@@ -116,10 +128,9 @@ fn compose(
             materials: vec![surface_material(GripperSurface::Gel, [0.0; 3])],
             textures: Vec::new(),
         };
-        deformed.add_to(&mut scene, &Pose::IDENTITY);
+        deformed.add_to(scene, &Pose::IDENTITY);
     }
-    scene.validate()?;
-    Ok(scene)
+    Ok(())
 }
 
 /// Returns the eye-in-hand camera of the conditions, moved towards its nominal pose until it sees

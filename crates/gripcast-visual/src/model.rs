@@ -49,6 +49,15 @@ type UvTransform = [[f64; 3]; 2];
 type ReadRelative<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
 
 impl Model {
+    /// Grey model of one mesh with material 0.
+    pub fn plain(mesh: Mesh) -> Self {
+        Self {
+            meshes: vec![mesh],
+            materials: vec![Material::grey(0.5)],
+            textures: Vec::new(),
+        }
+    }
+
     /// Model of a single finish; textures are box-projected.
     ///
     /// # Errors

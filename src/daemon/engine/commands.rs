@@ -258,6 +258,7 @@ mod tests {
             threshold: 0.5,
             is_stable: false,
             is_slipping: true,
+            object: None,
             alarm_time_ns: Some(6),
             frame_time_ns: 7,
         };

@@ -5,6 +5,7 @@ use parquet::schema::types::TypePtr;
 
 use super::table_column::{self, ColumnType};
 use gripcast_geometry::GraspGeometry;
+use gripcast_imaging::ObjectMotion;
 use gripcast_shear::LiftMotion;
 
 /// One column.
@@ -33,7 +34,7 @@ const fn nullable(name: &'static str, kind: ColumnType) -> Column {
 }
 
 /// Columns of `ShardFacts`, in the order of the file.
-pub(super) const FACTS: [Column; 24] = [
+pub(super) const FACTS: [Column; 25] = [
     required("id", ColumnType::Text),
     required("simulation", ColumnType::Text),
     required("object", ColumnType::Text),
@@ -58,6 +59,10 @@ pub(super) const FACTS: [Column; 24] = [
     required("crop_profile", ColumnType::Text),
     nullable("geometry_m", ColumnType::Float64List(GraspGeometry::LEN)),
     nullable("lift_motion", ColumnType::Float64List(LiftMotion::LEN)),
+    nullable(
+        "object_motion",
+        ColumnType::Float64List(LiftMotion::FRAMES * ObjectMotion::LEN),
+    ),
 ];
 
 /// Columns of `ShardImages`, after the facts: `<stage>_<role>`.

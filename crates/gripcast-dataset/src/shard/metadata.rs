@@ -16,8 +16,9 @@ const FORMAT: &str = "gripcast-shard";
 /// Name of the format of `dataset export --to parquet`.
 pub const EXPORT: &str = "gripcast-export";
 /// Version of the format.
-const VERSION: u32 = 2;
-/// Oldest version that can be read: there, lists of `lift_motion` are padded with NaN.
+const VERSION: u32 = 3;
+/// Oldest version that can be read: there, lists of `lift_motion` are padded with NaN. Files of
+/// version 2 have no column `object_motion`.
 const OLDEST_VERSION: u32 = 1;
 
 /// Value of the key.

@@ -7,6 +7,7 @@ use glam::DQuat;
 use super::cell::{Cell, Cells, column_error};
 use gripcast_base::error::Result;
 use gripcast_geometry::{GraspGeometry, Pose};
+use gripcast_imaging::ObjectMotion;
 use gripcast_shear::{GelMotion, LiftMotion};
 
 /// Tolerance of a unit quaternion's norm.
@@ -65,8 +66,9 @@ pub struct ShardFacts {
     /// Extents of the object in the gripper frame; column `geometry_m` with the values of
     /// [`GraspGeometry::to_array`].
     pub geometry: Option<GraspGeometry>,
-    /// What the gels show in the lift; column `lift_motion` with the values
-    /// of [`LiftMotion::to_values`].
+    /// What is seen in the lift; column `lift_motion` with the values of
+    /// [`LiftMotion::gel_values`], column `object_motion` with those of
+    /// [`LiftMotion::object_values`].
     pub lift: Option<LiftMotion>,
     /// Planned deviation from an antipodal grasp: `none`, `off_centre`, `tilted`, …; none for a
     /// grasp from outside the plan.
@@ -205,7 +207,11 @@ impl ShardFacts {
             }),
             self.lift
                 .as_ref()
-                .map_or(Cell::Null, |lift| Cell::Numbers(lift.to_values())),
+                .map_or(Cell::Null, |lift| Cell::Numbers(lift.gel_values())),
+            self.lift
+                .as_ref()
+                .and_then(LiftMotion::object_values)
+                .map_or(Cell::Null, Cell::Numbers),
         ]
     }
 
@@ -244,7 +250,7 @@ impl ShardFacts {
             seed: cells.natural()?,
             crop_profile: cells.text()?,
             geometry: cells.optional_numbers()?.map(geometry).transpose()?,
-            lift: cells.optional_numbers()?.map(lift_motion).transpose()?,
+            lift: lift_motion(cells.optional_numbers()?, cells.optional_numbers()?)?,
         })
     }
 
@@ -374,16 +380,32 @@ fn optional_pose(cells: &mut Cells<'_>) -> Result<Option<Pose>> {
     }
 }
 
-fn lift_motion(values: Vec<f64>) -> Result<LiftMotion> {
-    LiftMotion::from_values(&values).ok_or_else(|| {
+fn lift_motion(gels: Option<Vec<f64>>, object: Option<Vec<f64>>) -> Result<Option<LiftMotion>> {
+    let Some(gels) = gels else {
+        return Ok(None);
+    };
+    let motion = LiftMotion::from_gel_values(&gels).ok_or_else(|| {
         let what = format!(
             "has {} numbers, expected {} per image and at most {}, finite but for slip ratios",
-            values.len(),
+            gels.len(),
             2 * GelMotion::LEN,
             LiftMotion::LEN
         );
         column_error("lift_motion", what)
-    })
+    })?;
+    let Some(object) = object else {
+        return Ok(Some(motion));
+    };
+    let expected = ObjectMotion::LEN * motion.images.len();
+    let with_object = motion.with_object_values(&object).ok_or_else(|| {
+        let found = object.len();
+        let what = format!(
+            "has {found} numbers, expected {} per image of `lift_motion` ({expected}), none infinite",
+            ObjectMotion::LEN
+        );
+        column_error("object_motion", what)
+    });
+    with_object.map(Some)
 }
 
 fn geometry(values: Vec<f64>) -> Result<GraspGeometry> {

@@ -4,7 +4,8 @@ use glam::{DQuat, DVec3};
 
 use super::row::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow};
 use gripcast_geometry::{GraspGeometry, Pose};
-use gripcast_shear::{GelMotion, LiftMotion};
+use gripcast_imaging::ObjectMotion;
+use gripcast_shear::{GelMotion, LiftImage, LiftMotion};
 
 /// Bytes with the signature of an image; not decodable.
 pub(super) fn image(png: bool, seed: u64, length: usize) -> Vec<u8> {
@@ -61,13 +62,18 @@ pub(super) fn sample_row(number: u64) -> ShardRow {
         seed: i64::MAX as u64 - number,
         crop_profile: "paper".to_owned(),
         lift: every(2).then(|| LiftMotion {
-            frames: vec![
-                [GelMotion {
-                    level: 4.0 + x,
-                    ..GelMotion::default()
-                }; 2];
-                2
-            ],
+            images: [None, Some(0.25 * x)]
+                .map(|drop_mm: Option<f64>| LiftImage {
+                    gels: [GelMotion {
+                        level: 4.0 + x,
+                        ..GelMotion::default()
+                    }; 2],
+                    object: drop_mm.filter(|_| every(4)).map(|drop_mm| ObjectMotion {
+                        between_mm: Some(drop_mm),
+                        ..ObjectMotion::default()
+                    }),
+                })
+                .to_vec(),
         }),
         geometry: every(3).then(|| {
             GraspGeometry::from_array(std::array::from_fn(|i| 0.01 * i as f64 - 0.02 * x))

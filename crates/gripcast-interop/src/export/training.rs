@@ -16,10 +16,9 @@ use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter,
 };
 use gripcast_dataset::{GraspRecord, GroupKey, Outcome, Stage};
-use gripcast_geometry::WristCamera;
 use gripcast_imaging::{
-    ColourView, CropProfile, Decoder, Depth, DepthImage, DepthView, Role, decode_png_grey16,
-    encode_png_grey16, encode_png_rgb,
+    CropProfile, Decoder, Depth, DepthImage, DepthView, Role, decode_png_grey16, encode_png_grey16,
+    encode_png_rgb,
 };
 
 /// Depth of one count in shards, m.
@@ -181,16 +180,8 @@ fn aligned_depth(grasp: &Grasp) -> Result<Option<Vec<u8>>> {
     };
     let image = decode_png_grey16(&image.bytes).map_err(|e| e.at("grasp depth"))?;
     let (width, height) = SIZE;
-    let [columns, rows] = [width, height].map(|side| side as usize);
-    let [depth_columns, depth_rows] = [image.width(), image.height()].map(|side| side as usize);
-    let colour = ColourView {
-        width: columns,
-        height: rows,
-        focal_px: WristCamera::focal_px(columns, rows),
-        depth_focal_px: WristCamera::depth_focal_px(depth_columns, depth_rows),
-        left_imager_m: WristCamera::LEFT_IMAGER_M,
-    };
-    let depths_m = Depth { image, unit_m }.in_colour_image(view, &colour);
+    let depth = Depth { image, unit_m };
+    let depths_m = depth.in_colour_image(view, width as usize, height as usize);
     let counts = depths_m.iter().map(|z| (z / DEPTH_UNIT_M).round());
     // Beyond the range of 16 bits a depth is unknown.
     let counts = counts.map(|z| if z < f64::from(u16::MAX) { z as u16 } else { 0 });

@@ -1,22 +1,24 @@
-//! Verdict in the lift: the probability that a grasp holds, from what the gels show in the first
-//! millimetres.
+//! Verdict in the lift: the probability that a grasp holds, from what the gels and the wrist camera
+//! show in the first millimetres.
 //!
-//! The prediction before the lift is combined with a small network on the motion of the gels since
-//! the grasp: how far the skin is drawn, how much contact and force are left, how much of the
-//! contact slips. It does not know how far the gripper has risen; nothing measures that on a hand-held
-//! gripper.
+//! The prediction before the lift is combined with a small network on the motion since the grasp:
+//! how far the skin is drawn, how much contact and force are left, how much of the contact slips,
+//! and, with a depth camera, how far the object has fallen behind the gripper. It does not know how
+//! far the gripper has risen; nothing measures that on a hand-held gripper.
 
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::{Error, Result};
-use gripcast_imaging::TactileDifference;
-use gripcast_shear::{ExpectedMarkers, GelMotion, ShearTracker};
+use gripcast_imaging::{ObjectMotion, TactileDifference};
+use gripcast_shear::{ExpectedMarkers, GelMotion, LiftImage, ShearTracker};
 
 /// Metadata key of the lift head.
 pub const METADATA: &str = "gripcast.lift";
-/// Number of features.
+/// Number of features of the gels.
 pub const FEATURES: usize = 28;
+/// Number of features of the gels and of the object's motion.
+pub const FEATURES_WITH_OBJECT: usize = FEATURES + 6;
 /// Minimum level and contact of the grasp for ratios.
 const MIN_LEVEL: f64 = 0.3;
 const MIN_CONTACT: f64 = 0.01;
@@ -30,17 +32,11 @@ const MAX_LOST_LEVEL: f64 = 0.7;
 /// split 269 lose it so, and 8 of these hold: contacts too light to be seen.
 const P_LOST: f64 = 0.03;
 
-/// Features of the motion of both gels: the image before the lift, the previous and the newest one.
-pub type Features = [f64; FEATURES];
-
-/// Returns the features of a lift; `before` is the frame before it.
-pub fn features(
-    before: &[GelMotion; 2],
-    previous: &[GelMotion; 2],
-    now: &[GelMotion; 2],
-) -> Features {
+/// Features of the motion of both gels from the image before the lift, the previous and the newest
+/// one: those of the smaller and the larger side in turn.
+pub fn gel_features(before: &LiftImage, previous: &LiftImage, now: &LiftImage) -> Vec<f64> {
     let gel = |at: usize| {
-        let (b, p, n) = (&before[at], &previous[at], &now[at]);
+        let (b, p, n) = (&before.gels[at], &previous.gels[at], &now.gels[at]);
         let ratio = |now: f64, before: f64, min: f64| (now / before.max(min)).min(MAX_RATIO);
         let moved = [0, 1].map(|axis| n.displacement_mm[axis] - b.displacement_mm[axis]);
         let step = [0, 1].map(|axis| n.displacement_mm[axis] - p.displacement_mm[axis]);
@@ -61,26 +57,41 @@ pub fn features(
         ]
     };
     let (left, right) = (gel(0), gel(1));
-    let mut all = [0.0; FEATURES];
-    for (i, (left, right)) in left.into_iter().zip(right).enumerate() {
-        // The fingers may be swapped.
-        all[2 * i] = left.min(right);
-        all[2 * i + 1] = left.max(right);
-    }
-    all[FEATURES - 2] = f64::from(u8::from(now.iter().all(|gel| gel.has_markers)));
-    all[FEATURES - 1] = f64::from(u8::from(now.iter().all(|gel| gel.slip_ratio.is_some())));
+    // The fingers may be swapped.
+    let sides = left.into_iter().zip(right);
+    let mut all: Vec<f64> = sides.flat_map(|(l, r)| [l.min(r), l.max(r)]).collect();
+    let every = |holds: fn(&GelMotion) -> bool| f64::from(u8::from(now.gels.iter().all(holds)));
+    all.push(every(|gel| gel.has_markers));
+    all.push(every(|gel| gel.slip_ratio.is_some()));
     all
+}
+
+/// [`gel_features`] followed by the smallest, mean and largest drop of the object since before the lift
+/// and since the previous image, mm; none where it is not measured.
+pub fn features_with_object(
+    before: &LiftImage,
+    previous: &LiftImage,
+    now: &LiftImage,
+) -> Option<Vec<f64>> {
+    let now_mm = now.object?.summary_mm()?;
+    let previous_mm = previous.object.and_then(|motion| motion.summary_mm());
+    let previous_mm = previous_mm.unwrap_or(now_mm);
+    let mut all = gel_features(before, previous, now);
+    all.extend(now_mm);
+    all.extend([0, 1, 2].map(|i| now_mm[i] - previous_mm[i]));
+    Some(all)
 }
 
 /// Whether the contact is lost: no gel that touched before the lift touches in the previous and the
 /// newest image, and the level of each has fallen.
-pub fn is_lost(before: &[GelMotion; 2], previous: &[GelMotion; 2], now: &[GelMotion; 2]) -> bool {
-    let touched = |gel: &usize| before[*gel].contact_fraction > 0.0;
+pub fn is_lost(before: &LiftImage, previous: &LiftImage, now: &LiftImage) -> bool {
+    let touched = |gel: &usize| before.gels[*gel].contact_fraction > 0.0;
     let mut gels = (0..2).filter(touched).peekable();
     gels.peek().is_some()
         && gels.all(|gel| {
-            let is_without = |m: &[GelMotion; 2]| {
-                m[gel].contact_fraction <= 0.0 && m[gel].level < MAX_LOST_LEVEL * before[gel].level
+            let is_without = |image: &LiftImage| {
+                let (now, before) = (&image.gels[gel], &before.gels[gel]);
+                now.contact_fraction <= 0.0 && now.level < MAX_LOST_LEVEL * before.level
             };
             is_without(previous) && is_without(now)
         })
@@ -102,7 +113,7 @@ pub struct MotionNetwork {
 
 impl MotionNetwork {
     /// Activations of the hidden units (ReLU).
-    pub fn hidden(&self, features: &Features) -> Vec<f64> {
+    pub fn hidden(&self, features: &[f64]) -> Vec<f64> {
         let standardised: Vec<f64> = self.standardised(features).collect();
         let units = self.hidden.iter().map(|weights| {
             let sum: f64 = weights.iter().zip(&standardised).map(|(w, x)| w * x).sum();
@@ -112,7 +123,7 @@ impl MotionNetwork {
     }
 
     /// Features with mean 0 and standard deviation 1.
-    pub fn standardised(&self, features: &Features) -> impl Iterator<Item = f64> {
+    pub fn standardised(&self, features: &[f64]) -> impl Iterator<Item = f64> {
         let scales = self.mean.iter().zip(&self.std);
         let values = features.iter().zip(scales);
         values
@@ -122,28 +133,28 @@ impl MotionNetwork {
     }
 
     /// Log-odds that the grasp holds.
-    pub fn logit(&self, features: &Features) -> f64 {
+    pub fn logit(&self, features: &[f64]) -> f64 {
         let hidden = self.hidden(features);
         let sum: f64 = self.output.iter().zip(&hidden).map(|(w, x)| w * x).sum();
         sum + self.output.last().unwrap_or(&0.0)
     }
 
-    fn is_usable(&self) -> bool {
+    fn is_usable(&self, features: usize) -> bool {
         let rows = [&self.mean, &self.std, &self.output];
         let all = rows.into_iter().chain(&self.hidden).flatten();
-        self.mean.len() == FEATURES
-            && self.std.len() == FEATURES
+        self.mean.len() == features
+            && self.std.len() == features
             && self.std.iter().all(|std| *std > 0.0)
-            && self.hidden.iter().all(|row| row.len() == FEATURES + 1)
+            && self.hidden.iter().all(|row| row.len() == features + 1)
             && self.output.len() == self.hidden.len() + 1
             && all.into_iter().all(|x| x.is_finite())
     }
 }
 
-/// The lift head of a model.
+/// Probability that a grasp holds from one set of features.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct LiftHead {
+pub struct LiftEstimator {
     /// Network on the motion.
     pub network: MotionNetwork,
     /// Weight of the log-odds before the lift.
@@ -158,11 +169,42 @@ pub struct LiftHead {
     pub alarm: f64,
 }
 
+impl LiftEstimator {
+    fn is_usable(&self, features: usize) -> bool {
+        let weights = [self.prior_weight, self.motion_weight, self.offset];
+        let limits = [self.threshold, self.alarm];
+        self.network.is_usable(features)
+            && weights.iter().all(|x| x.is_finite())
+            && limits.iter().all(|p| (0.0..=1.0).contains(p))
+    }
+
+    /// Probability that the grasp holds, from the log-odds before the lift and those of the motion.
+    /// It stays between 0.7 and 99.3 %: no set of lifts is large enough to know more.
+    pub fn probability(&self, prior: f64, motion: f64) -> f64 {
+        let logit = self.prior_weight * prior + self.motion_weight * motion + self.offset;
+        let logit = MAX_LOGIT * (logit / MAX_LOGIT).tanh();
+        1.0 / (1.0 + (-logit).exp())
+    }
+}
+
+/// The lift head of a model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LiftHead {
+    /// From what the gels show.
+    pub gels: LiftEstimator,
+    /// From the gels and the motion of the object.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub with_object: Option<LiftEstimator>,
+}
+
 /// Verdict in the lift.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LiftVerdict {
     /// Probability that the grasp holds.
     pub p_stable: f64,
+    /// Minimum probability of a stable grasp.
+    pub threshold: f64,
     /// Whether it is at least the threshold.
     pub is_stable: bool,
     /// Whether the contact is being lost.
@@ -180,11 +222,9 @@ impl LiftHead {
             Error::input(what).remedy("train or export the model again")
         };
         let found: Self = serde_json::from_str(text).map_err(|e| refused("").because(e))?;
-        let weights = [found.prior_weight, found.motion_weight, found.offset];
-        let limits = [found.threshold, found.alarm];
-        let is_usable = found.network.is_usable()
-            && weights.iter().all(|x| x.is_finite())
-            && limits.iter().all(|p| (0.0..=1.0).contains(p));
+        let with_object = found.with_object.as_ref();
+        let is_usable = found.gels.is_usable(FEATURES)
+            && with_object.is_none_or(|estimator| estimator.is_usable(FEATURES_WITH_OBJECT));
         match is_usable {
             true => Ok(found),
             false => Err(refused(": expected finite numbers, as many as features")),
@@ -196,27 +236,22 @@ impl LiftHead {
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// Probability that the grasp holds, from the log-odds before the lift and those of the motion.
-    /// It stays between 0.7 and 99.3 %: no set of lifts is large enough to know more.
-    pub fn probability(&self, prior: f64, motion: f64) -> f64 {
-        let logit = self.prior_weight * prior + self.motion_weight * motion + self.offset;
-        let logit = MAX_LOGIT * (logit / MAX_LOGIT).tanh();
-        1.0 / (1.0 + (-logit).exp())
-    }
-
     /// Verdict on the newest image of a lift, from the probability before the lift and the motion
     /// since. After the loss of contact ([`is_lost`]) there is an alarm, and the probability is at most 0.03.
     pub fn verdict(
         &self,
         p_before: f64,
-        before: &[GelMotion; 2],
-        previous: &[GelMotion; 2],
-        now: &[GelMotion; 2],
+        before: &LiftImage,
+        previous: &LiftImage,
+        now: &LiftImage,
     ) -> LiftVerdict {
         let p = p_before.clamp(1e-6, 1.0 - 1e-6);
         let prior = (p / (1.0 - p)).ln();
-        let motion = self.network.logit(&features(before, previous, now));
-        let p_stable = self.probability(prior, motion);
+        let with_object = self.with_object.as_ref();
+        let with_object = with_object.zip(features_with_object(before, previous, now));
+        let (estimator, features) =
+            with_object.unwrap_or_else(|| (&self.gels, gel_features(before, previous, now)));
+        let p_stable = estimator.probability(prior, estimator.network.logit(&features));
         let is_lost = is_lost(before, previous, now);
         let p_stable = if is_lost {
             p_stable.min(P_LOST)
@@ -225,13 +260,15 @@ impl LiftHead {
         };
         LiftVerdict {
             p_stable,
-            is_stable: p_stable >= self.threshold,
-            is_slipping: is_lost || p_stable < self.alarm,
+            threshold: estimator.threshold,
+            is_stable: p_stable >= estimator.threshold,
+            is_slipping: is_lost || p_stable < estimator.alarm,
         }
     }
 
     /// Verdicts on the images of a lift, in order; images are those of both gels, 320×240, and 40 ms
-    /// apart as in training. `m_per_px` is their scale.
+    /// apart as in training, each with the motion of the object where it is measured
+    /// ([`ObjectTracker`](gripcast_imaging::ObjectTracker)). `m_per_px` is their scale.
     ///
     /// # Errors
     /// `Input`: images of different sizes.
@@ -240,7 +277,7 @@ impl LiftHead {
         p_before: f64,
         initial: [&RgbImage; 2],
         grasp: [&RgbImage; 2],
-        lift: impl IntoIterator<Item = [&'a RgbImage; 2]>,
+        lift: impl IntoIterator<Item = ([&'a RgbImage; 2], Option<ObjectMotion>)>,
         m_per_px: f64,
         markers: ExpectedMarkers<'_>,
     ) -> Result<Vec<LiftVerdict>> {
@@ -255,10 +292,14 @@ impl LiftHead {
             };
             Ok([gel(0)?, gel(1)?])
         };
-        let before = motion(grasp)?;
+        let before = LiftImage {
+            gels: motion(grasp)?,
+            object: Some(ObjectMotion::NONE),
+        };
         let mut previous = before;
-        let verdict = |images| {
-            let now = motion(images)?;
+        let verdict = |(images, object)| {
+            let gels = motion(images)?;
+            let now = LiftImage { gels, object };
             let verdict = self.verdict(p_before, &before, &previous, &now);
             previous = now;
             Ok(verdict)
@@ -271,7 +312,7 @@ impl LiftHead {
 mod tests {
     use super::*;
 
-    fn motion(level: f64, down_mm: f64) -> [GelMotion; 2] {
+    fn motion(level: f64, down_mm: f64) -> LiftImage {
         let gel = |level: f64| GelMotion {
             level,
             contact_fraction: 0.1,
@@ -281,17 +322,25 @@ mod tests {
             has_markers: true,
             ..GelMotion::default()
         };
-        [gel(level), gel(0.8 * level)]
+        LiftImage::from([gel(level), gel(0.8 * level)])
     }
 
     fn head() -> LiftHead {
         // Reads the smaller ratio of the levels.
-        let mut weights = vec![0.0; FEATURES + 1];
-        weights[0] = 1.0;
         LiftHead {
+            gels: estimator(FEATURES, 0),
+            with_object: None,
+        }
+    }
+
+    /// Reads one feature.
+    fn estimator(features: usize, feature: usize) -> LiftEstimator {
+        let mut weights = vec![0.0; features + 1];
+        weights[feature] = 1.0;
+        LiftEstimator {
             network: MotionNetwork {
-                mean: vec![0.0; FEATURES],
-                std: vec![1.0; FEATURES],
+                mean: vec![0.0; features],
+                std: vec![1.0; features],
                 hidden: vec![weights],
                 output: vec![4.0, -2.0],
             },
@@ -304,9 +353,41 @@ mod tests {
     }
 
     #[test]
+    fn motion_of_the_object_is_used_where_it_is_measured() {
+        let (mut head, before) = (head(), motion(10.0, 0.0));
+        let dropped = |drop_mm: Option<f64>| LiftImage {
+            object: drop_mm.map(|drop_mm| ObjectMotion::from_array([drop_mm; 3])),
+            ..before
+        };
+        let verdict =
+            |head: &LiftHead, drop_mm| head.verdict(0.5, &before, &before, &dropped(drop_mm));
+        let seen = Some(3.0);
+        assert_eq!(verdict(&head, seen), verdict(&head, None));
+        let mut estimator = estimator(FEATURES_WITH_OBJECT, FEATURES);
+        (estimator.network.output, estimator.threshold) = (vec![-1.0, 0.0], 0.4);
+        head.with_object = Some(estimator);
+        let [held, lost] = [0.0, 3.0].map(|drop_mm| verdict(&head, Some(drop_mm)));
+        assert!((held.p_stable - 0.5).abs() < 1e-12 && held.is_stable);
+        assert!(lost.is_slipping && lost.threshold == 0.4);
+        let unseen = verdict(&head, None);
+        assert!(unseen.threshold == 0.5 && unseen.p_stable > held.p_stable);
+        // A change since the previous image needs both.
+        let all = |previous| features_with_object(&before, &dropped(previous), &dropped(seen));
+        assert_eq!(
+            all(Some(1.0)).unwrap()[FEATURES..],
+            [3.0, 3.0, 3.0, 2.0, 2.0, 2.0]
+        );
+        assert_eq!(
+            all(None).unwrap()[FEATURES..],
+            [3.0, 3.0, 3.0, 0.0, 0.0, 0.0]
+        );
+        assert_eq!(all(None).unwrap().len(), FEATURES_WITH_OBJECT);
+    }
+
+    #[test]
     fn falling_level_turns_the_verdict() {
         let (head, before) = (head(), motion(10.0, 0.0));
-        let verdict = |now: &[GelMotion; 2]| head.verdict(0.5, &before, &before, now);
+        let verdict = |now: &LiftImage| head.verdict(0.5, &before, &before, now);
         let held = verdict(&before);
         let logit = 5.0 * 0.4_f64.tanh();
         assert!((held.p_stable - 1.0 / (1.0 + (-logit).exp())).abs() < 1e-12);
@@ -320,11 +401,12 @@ mod tests {
     fn grasp_without_contact_is_lost() {
         let (mut head, before) = (head(), motion(10.0, 0.0));
         // A head that reads nothing and gives no alarm.
-        (head.motion_weight, head.alarm) = (0.0, 0.0);
+        (head.gels.motion_weight, head.gels.alarm) = (0.0, 0.0);
         let without = |gels: &[usize]| {
             let mut now = before;
             for gel in gels {
-                (now[*gel].contact_fraction, now[*gel].level) = (0.0, 1.0);
+                let gel = &mut now.gels[*gel];
+                (gel.contact_fraction, gel.level) = (0.0, 1.0);
             }
             now
         };
@@ -341,34 +423,43 @@ mod tests {
         assert!(!head.verdict(0.99, &nothing, &nothing, &nothing).is_slipping);
         // A light contact that is not seen.
         let mut faint = before;
-        faint.iter_mut().for_each(|gel| gel.contact_fraction = 0.0);
+        faint
+            .gels
+            .iter_mut()
+            .for_each(|gel| gel.contact_fraction = 0.0);
         assert!(!head.verdict(0.99, &before, &faint, &faint).is_slipping);
     }
 
     #[test]
     fn swapped_fingers_have_equal_features() {
         let (before, now) = (motion(10.0, 0.0), motion(4.0, 0.6));
-        let swapped = |[a, b]: [GelMotion; 2]| [b, a];
-        let expected = features(&before, &before, &now);
+        let swapped = |image: LiftImage| {
+            let [a, b] = image.gels;
+            LiftImage::from([b, a])
+        };
+        let expected = gel_features(&before, &before, &now);
+        assert_eq!(expected.len(), FEATURES);
         assert_eq!(
-            features(&swapped(before), &swapped(before), &swapped(now)),
+            gel_features(&swapped(before), &swapped(before), &swapped(now)),
             expected
         );
         assert!(expected.iter().all(|x| x.is_finite()));
-        let nothing = [GelMotion::default(); 2];
-        let empty = features(&nothing, &nothing, &nothing);
+        let nothing = LiftImage::default();
+        let empty = gel_features(&nothing, &nothing, &nothing);
         assert!(empty.iter().all(|x| x.is_finite()));
     }
 
     #[test]
     fn metadata_is_read_back_and_damage_refused() {
-        let head = head();
+        let mut head = head();
+        head.with_object = Some(estimator(FEATURES_WITH_OBJECT, 0));
         let text = head.to_metadata();
         assert_eq!(LiftHead::from_metadata(&text).unwrap(), head);
         for damaged in [
             text.replacen("4.0", "null", 1),
             text.replacen("[0.0,", "[", 1),
             text.replace("\"alarm\":0.2", "\"alarm\":2.0"),
+            text.replace("with_object", "with_depth"),
             "{}".to_owned(),
         ] {
             assert!(LiftHead::from_metadata(&damaged).is_err(), "{damaged}");

@@ -38,7 +38,7 @@ pub use engine::{Model, Prediction};
 pub use grasp::{GraspPrediction, InputImages};
 pub use input::ModelInput;
 pub use label::{PredictedLabel, contact_doubt};
-pub use lift::{LiftHead, LiftVerdict};
+pub use lift::{LiftEstimator, LiftHead, LiftVerdict};
 pub use live::{LivePrediction, LivePredictor};
 pub use ood::OodDetector;
 pub use points::PointMap;

@@ -1,7 +1,7 @@
 //! Depth images as points in the gripper frame.
 
 use gripcast_geometry::WristCamera;
-use gripcast_imaging::{ColourView, Depth, DepthView};
+use gripcast_imaging::{Depth, DepthView};
 
 use super::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
 
@@ -24,16 +24,8 @@ impl PointMap {
     /// Converts a depth image of a view. That of a D435's left imager is projected to the colour
     /// camera by the nominal lenses and distance (D400 series data sheet).
     pub fn new(depth: &Depth, view: DepthView) -> Self {
-        let (width, height) = depth.image.dimensions();
         let focal = WristCamera::focal_px(WIDTH, HEIGHT);
-        let colour = ColourView {
-            width: WIDTH,
-            height: HEIGHT,
-            focal_px: focal,
-            depth_focal_px: WristCamera::depth_focal_px(width as usize, height as usize),
-            left_imager_m: WristCamera::LEFT_IMAGER_M,
-        };
-        let depths_m = depth.in_colour_image(view, &colour);
+        let depths_m = depth.in_colour_image(view, WIDTH, HEIGHT);
         let pose = WristCamera::t_gripper_camera();
         let rotation = pose.rotation_matrix();
         let points = depths_m.iter().enumerate().map(|(pixel, z)| {
