@@ -114,12 +114,12 @@ fn follow(bench: &mut Bench, model: &Model, m_per_px: f64) -> Lift {
 
     bench.hand.move_to(HandTarget::Lifted);
     let tracker = ObjectTracker::new(&depth, DepthView::Colour).unwrap();
-    let frames: Vec<(usize, [RgbImage; 2], Option<ObjectMotion>)> = (0..25)
+    let frames: Vec<(usize, [RgbImage; 2], Option<ObjectMotion>)> = (0..30)
         .map(|_| {
-            bench.clock.advance(40 * MS);
             let images = bench.gels();
             let object = tracker.motion(&bench.depth(), DepthView::Colour);
             let step = bench.hand.scene_at(bench.clock.now_ns()).step;
+            println!("{} {object:?}", step.saturating_sub(closed));
             (step, images, object)
         })
         .collect();

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::WristCamera;
 use serde::{Deserialize, Serialize};
@@ -35,8 +35,14 @@ const TABLE_DISTANCE_M: f64 = 1.5e-3;
 /// Minimum points, and cosine of the maximum angle between approach direction and the table's normal.
 const MIN_TABLE_POINTS: usize = 300;
 const MIN_TABLE_COSINE: f64 = 0.7;
-/// Half side of the window over which changes of depth are averaged, px, and the minimum fraction of
-/// it with a depth: depths are noisy and quantised to 1 mm.
+/// Minimum cosine of the angle between approach direction and the normal of a surface that shows a
+/// drop: a wall along it looks the same after one.
+const MIN_FACING: f64 = 0.5;
+/// Minimum pixels of a window that a normal is fitted to, and their maximum difference in depth, m.
+const MIN_NORMAL_PIXELS: usize = 25;
+const MAX_NORMAL_STEP_M: f64 = 4e-3;
+/// Half side of the windows of normals and of averaged changes of depth, px, and the minimum fraction
+/// of it with a change: depths are noisy and quantised to 1 mm.
 const WINDOW_HALF_PX: i64 = 3;
 const MIN_WINDOW_FRACTION: f64 = 0.3;
 /// Maximum drop, mm; farther the object is gone.
@@ -134,11 +140,14 @@ impl ObjectTracker {
         let object = seen
             .into_iter()
             .filter(|(_, point)| (ALONG_M[0]..=ALONG_M[1]).contains(&point.z) && is_above(point));
-        let pixels = object.map(|(pixel, point)| ObjectPixel {
-            place: PLACES_M.iter().position(|(half_width_m, [low, high])| {
+        let pixels = object.map(|(pixel, point)| {
+            let place = PLACES_M.iter().position(|(half_width_m, [low, high])| {
                 point.x.abs() <= *half_width_m && (*low..=*high).contains(&point.y)
-            }),
-            ..pixel
+            });
+            ObjectPixel {
+                place: place.filter(|_| facing(&depths_m, &pixel) >= MIN_FACING),
+                ..pixel
+            }
         });
         let tracker = Self {
             pixels: pixels.collect(),
@@ -218,6 +227,45 @@ fn window_mean(changes_mm: &[f64], pixel: &ObjectPixel) -> Option<f64> {
     (f64::from(count) >= MIN_WINDOW_FRACTION * all).then(|| sum / f64::from(count))
 }
 
+/// Cosine of the angle between the approach direction and the normal of the plane through the
+/// surroundings of a pixel; 0 where it is not known.
+fn facing(depths_m: &[f64], pixel: &ObjectPixel) -> f64 {
+    let [width, height] = SIZE.map(|side| side as i64);
+    let offsets = -WINDOW_HALF_PX..=WINDOW_HALF_PX;
+    let mut known = 0;
+    // Normal equations of the depth over column, row and 1.
+    let (mut matrix, mut vector) = (DMat3::ZERO, DVec3::ZERO);
+    for dy in offsets.clone() {
+        for dx in offsets.clone() {
+            let (column, row) = (pixel.column as i64 + dx, pixel.row as i64 + dy);
+            if !(0..width).contains(&column) || !(0..height).contains(&row) {
+                continue;
+            }
+            let depth_m = depths_m[(row * width + column) as usize];
+            if depth_m > 0.0 && (depth_m - pixel.depth_m).abs() <= MAX_NORMAL_STEP_M {
+                let at = DVec3::new(dx as f64, dy as f64, 1.0);
+                for axis in 0..3 {
+                    *matrix.col_mut(axis) += at[axis] * at;
+                }
+                vector += depth_m * at;
+                known += 1;
+            }
+        }
+    }
+    if known < MIN_NORMAL_PIXELS {
+        return 0.0;
+    }
+    let plane = matrix.inverse() * vector;
+    // z (u, v) has the normal (-gx, -gy, 1 + u gx + v gy) with g = f · dz / z.
+    let focal = WristCamera::focal_px(SIZE[0], SIZE[1]);
+    let [gx, gy] = [plane.x, plane.y].map(|slope| focal * slope / plane.z);
+    let [u, v] = [(pixel.column, SIZE[0]), (pixel.row, SIZE[1])]
+        .map(|(at, side)| (at as f64 - 0.5 * (side as f64 - 1.0)) / focal);
+    let normal = DVec3::new(-gx, -gy, 1.0 + u * gx + v * gy).normalize_or_zero();
+    let axes = WristCamera::t_gripper_camera().rotation_matrix();
+    (axes * normal).z.abs()
+}
+
 /// Pixels with a depth, and their points in the gripper frame.
 fn points(depths_m: &[f64]) -> impl Iterator<Item = (ObjectPixel, DVec3)> + use<'_> {
     let [width, height] = SIZE;
@@ -275,7 +323,6 @@ fn table(points: impl Iterator<Item = DVec3>) -> Option<(DVec3, f64)> {
 mod tests {
     use super::*;
     use crate::DepthImage;
-    use glam::DMat3;
 
     /// A bar across the fingers whose top is 5 mm above the centre of the gels, dropped and tilted
     /// about the closing axis, on a table that is `lifted_m` lower than 14 mm below the centre; codes
@@ -343,6 +390,34 @@ mod tests {
         for unseen in [nothing, bar(200.0, 0.0, 0.0, 1e-3)] {
             assert_eq!(ObjectTracker::new(&unseen, view), None);
         }
+    }
+
+    #[test]
+    fn wall_along_the_approach_direction_shows_no_drop() {
+        let view = DepthView::Colour;
+        let [width, height] = SIZE;
+        let focal = WristCamera::focal_px(width, height);
+        let pose = WristCamera::t_gripper_camera();
+        // The side of a tall object 25 mm before the gels; its top is too near to be seen.
+        let codes = DepthImage::from_fn(width as u32, height as u32, |column, row| {
+            let u = (f64::from(column) - 159.5) / focal;
+            let v = (f64::from(row) - 119.5) / focal;
+            let ray = pose.rotation_matrix() * DVec3::new(u, v, 1.0);
+            let depth = (-0.025 - pose.translation_m.y) / ray.y;
+            let point = pose.translation_m + depth * ray;
+            let is_side = depth > 0.0 && point.x.abs() < 0.02 && (-0.05..0.014).contains(&point.z);
+            image::Luma([if is_side {
+                (depth * 1e3).round() as u16
+            } else {
+                0
+            }])
+        });
+        assert!(codes.iter().filter(|code| **code > 0).count() > 1000);
+        let side = Depth {
+            image: codes,
+            unit_m: 1e-3,
+        };
+        assert_eq!(ObjectTracker::new(&side, view), None);
     }
 
     #[test]
