@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from lerobot import __version__ as lerobot_version
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from conftest import Daemon
@@ -19,6 +20,11 @@ CAMERAS = {
     "right": {"type": "gripcast", "role": "right", "image": "difference"},
     "shear": {"type": "gripcast", "role": "left", "image": "shear"},
 }
+
+
+# LeRobot 0.4 leaves images out that it does not store as video, which is lossy.
+IS_LOSSLESS = not lerobot_version.startswith("0.4.")
+MAX_VIDEO_ERROR = 4.0
 
 
 def test_recorded_images_are_those_that_were_served(daemon: Daemon, tmp_path: Path) -> None:
@@ -34,7 +40,7 @@ def test_recorded_images_are_those_that_were_served(daemon: Daemon, tmp_path: Pa
         "--dataset.repo_id=gripcast/mugs", f"--dataset.root={root}", "--dataset.single_task=grasp the mug",
         "--dataset.num_episodes=1", "--dataset.episode_time_s=2", "--dataset.fps=5",
         # Lossless: PNG in place of lossy video.
-        "--dataset.video=false", "--dataset.push_to_hub=false", "--play_sounds=false",
+        f"--dataset.video={str(not IS_LOSSLESS).lower()}", "--dataset.push_to_hub=false", "--play_sounds=false",
     ]  # fmt: skip
     environment = os.environ | {
         "PYTHONPATH": str(Path(__file__).parent),
@@ -49,11 +55,15 @@ def test_recorded_images_are_those_that_were_served(daemon: Daemon, tmp_path: Pa
     files = sorted(served.glob("*.npz"))
     assert len(dataset) == len(files) > 3
     for name in CAMERAS:
-        assert dataset.features[f"observation.images.{name}"]["dtype"] == "image"
+        assert dataset.features[f"observation.images.{name}"]["dtype"] == ("image" if IS_LOSSLESS else "video")
     for index, file in enumerate(files):
         item = dataset[index]
         assert item["action"].item() == 0.5 * (index + 1)
         with np.load(file) as images:
             for name in CAMERAS:
                 read = item[f"observation.images.{name}"].permute(1, 2, 0).numpy()
-                assert np.array_equal(np.rint(read * 255).astype(np.uint8), images[name]), f"{name} of frame {index}"
+                where = f"{name} of frame {index}"
+                if IS_LOSSLESS:
+                    assert np.array_equal(np.rint(read * 255).astype(np.uint8), images[name]), where
+                else:
+                    assert np.abs(read * 255.0 - images[name]).mean() < MAX_VIDEO_ERROR, where
