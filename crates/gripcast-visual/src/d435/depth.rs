@@ -114,6 +114,7 @@ pub fn measure_depth(
     ensure(found > 0 && found == width * height, || {
         format!("a depth image of {width}×{height} must have as many depths, found {found}")
     })?;
+    let noise = DisparityNoise::new(width, height, settings.hole_fraction, seed);
     let mut codes = vec![0_u16; depth_m.len()];
     codes
         .par_chunks_mut(width)
@@ -123,9 +124,9 @@ pub fn measure_depth(
             let visible = visible_to_both(line, camera);
             for (column, code) in codes.iter_mut().enumerate() {
                 let pixel = (column, row);
-                let is_matched = !is_hole(pixel, settings.hole_fraction, seed);
-                if visible[column] && is_matched && !is_grazing(depth_m, pixel, camera) {
-                    *code = measured(line[column], pixel, settings, seed);
+                let is_matched = visible[column] && !noise.is_hole(pixel);
+                if is_matched && !is_grazing(depth_m, pixel, camera) {
+                    *code = measured(line[column], pixel, settings, &noise);
                 }
             }
         });
@@ -133,25 +134,19 @@ pub fn measure_depth(
         .ok_or_else(|| Error::internal("the depth image has the wrong size"))
 }
 
-/// Whether matching fails at a pixel.
-fn is_hole((column, row): (usize, usize), fraction: f64, seed: u64) -> bool {
-    if fraction <= 0.0 {
-        return false;
-    }
-    let cell = ((row / CELL) as u64) << 32 | (column / CELL) as u64;
-    let normal = f64::from(gaussians(seed ^ 0x0f0f_9876, cell)[0]);
-    // The logistic function nearly is the normal distribution function.
-    1.0 / (1.0 + (-1.702 * normal).exp()) < fraction
-}
-
 /// Measures one depth with noise and quantisation.
-fn measured(depth: f32, pixel: (usize, usize), settings: &DepthSettings, seed: u64) -> u16 {
+fn measured(
+    depth: f32,
+    pixel: (usize, usize),
+    settings: &DepthSettings,
+    noise: &DisparityNoise,
+) -> u16 {
     let depth = f64::from(depth);
     let scale = STEREO_FOCAL_PX * BASELINE_M;
     if !(settings.min_depth_m..=MAX_DEPTH_M).contains(&depth) {
         return 0;
     }
-    let noise = settings.disparity_std_px * disparity_noise(pixel, seed);
+    let noise = settings.disparity_std_px * noise.at(pixel);
     let steps = ((scale / depth + noise) * DISPARITY_STEPS).round();
     let disparity = steps / DISPARITY_STEPS;
     if disparity <= 0.0 {
@@ -166,28 +161,74 @@ fn measured(depth: f32, pixel: (usize, usize), settings: &DepthSettings, seed: u
     }
 }
 
-/// Noise of unit variance: the sum of a coarse lattice, shared by neighbours, and independent
-/// noise.
-fn disparity_noise((column, row): (usize, usize), seed: u64) -> f64 {
-    const SPACING: usize = 4;
-    let own = f64::from(gaussians(seed, (row as u64) << 32 | column as u64)[0]);
-    let (cx, cy) = (column / SPACING, row / SPACING);
-    let offset = |c: usize| (c % SPACING) as f64 / SPACING as f64 + 0.5 / SPACING as f64;
-    let (fx, fy) = (offset(column), offset(row));
-    let at = |i: usize, j: usize| {
-        let item = ((cy + j) as u64) << 32 | (cx + i) as u64;
-        f64::from(gaussians(seed ^ 0x5a5a_1234, item)[0])
-    };
-    let weights = [
-        (1.0 - fx) * (1.0 - fy),
-        fx * (1.0 - fy),
-        (1.0 - fx) * fy,
-        fx * fy,
-    ];
-    let lattice = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
-    let sum: f64 = weights.iter().zip(lattice).map(|(w, g)| w * g).sum();
-    let norm = weights.iter().map(|w| w * w).sum::<f64>().sqrt();
-    CORRELATED_FRACTION.sqrt() * sum / norm + (1.0 - CORRELATED_FRACTION).sqrt() * own
+/// Side of the cells of the lattice that neighbours share, px.
+const SPACING: usize = 4;
+
+/// Noise of the disparity in an image: values of the cells that pixels share, computed once.
+struct DisparityNoise {
+    seed: u64,
+    /// Values of the lattice, row by row, and their number in a row.
+    lattice: Vec<f64>,
+    lattice_width: usize,
+    /// Cells in which matching fails, row by row, and their number in a row.
+    holes: Vec<bool>,
+    hole_width: usize,
+}
+
+impl DisparityNoise {
+    fn new(width: usize, height: usize, hole_fraction: f64, seed: u64) -> Self {
+        let grid = |cell: usize, more: usize| {
+            let [columns, rows] = [width, height].map(|side| side.div_ceil(cell) + more);
+            let items =
+                (0..rows).flat_map(move |row| (0..columns).map(move |column| (row, column)));
+            let items = items.map(|(row, column)| (row as u64) << 32 | column as u64);
+            (columns, items)
+        };
+        let (lattice_width, items) = grid(SPACING, 1);
+        let lattice = items.map(|item| f64::from(gaussians(seed ^ 0x5a5a_1234, item)[0]));
+        let lattice = lattice.collect();
+        let (hole_width, items) = grid(CELL, 0);
+        let is_hole = |cell| {
+            let normal = f64::from(gaussians(seed ^ 0x0f0f_9876, cell)[0]);
+            // The logistic function nearly is the normal distribution function.
+            1.0 / (1.0 + (-1.702 * normal).exp()) < hole_fraction
+        };
+        Self {
+            seed,
+            lattice,
+            lattice_width,
+            holes: match hole_fraction > 0.0 {
+                true => items.map(is_hole).collect(),
+                false => Vec::new(),
+            },
+            hole_width,
+        }
+    }
+
+    /// Whether matching fails at a pixel.
+    fn is_hole(&self, (column, row): (usize, usize)) -> bool {
+        let cell = row / CELL * self.hole_width + column / CELL;
+        self.holes.get(cell).is_some_and(|is_hole| *is_hole)
+    }
+
+    /// Noise of unit variance: the sum of the lattice and of independent noise.
+    fn at(&self, (column, row): (usize, usize)) -> f64 {
+        let own = f64::from(gaussians(self.seed, (row as u64) << 32 | column as u64)[0]);
+        let (cx, cy) = (column / SPACING, row / SPACING);
+        let offset = |c: usize| (c % SPACING) as f64 / SPACING as f64 + 0.5 / SPACING as f64;
+        let (fx, fy) = (offset(column), offset(row));
+        let at = |i: usize, j: usize| self.lattice[(cy + j) * self.lattice_width + cx + i];
+        let weights = [
+            (1.0 - fx) * (1.0 - fy),
+            fx * (1.0 - fy),
+            (1.0 - fx) * fy,
+            fx * fy,
+        ];
+        let lattice = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
+        let sum: f64 = weights.iter().zip(lattice).map(|(w, g)| w * g).sum();
+        let norm = weights.iter().map(|w| w * w).sum::<f64>().sqrt();
+        CORRELATED_FRACTION.sqrt() * sum / norm + (1.0 - CORRELATED_FRACTION).sqrt() * own
+    }
 }
 
 /// Marks the pixels of a row visible to both imagers: a surface is occluded if a nearer one lies on
