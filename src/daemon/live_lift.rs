@@ -179,11 +179,15 @@ mod tests {
             with_object: Some(estimator(FEATURES_WITH_OBJECT, FEATURES, [-2.0, 1.0])),
             ..head()
         };
-        let wall = |code: u16| Depth {
-            image: DepthImage::from_pixel(320, 240, image::Luma([code])),
+        // A plate between the fingers, above a table.
+        let plate = |code: u16| Depth {
+            image: DepthImage::from_fn(320, 240, |x, y| {
+                let is_plate = (130..190).contains(&x) && (60..180).contains(&y);
+                image::Luma([if is_plate { code } else { 200 }])
+            }),
             unit_m: 1e-3,
         };
-        let tracker = ObjectTracker::new(&wall(180), DepthView::Colour).unwrap();
+        let tracker = ObjectTracker::new(&plate(180), DepthView::Colour).unwrap();
         let mut lift = LiveLift::new(0.5, [gel(10.0); 2], Some(tracker));
         let mut both = |lift: &mut LiveLift, ms: u64| {
             lift.add(&head, Role::Left, gel(10.0), ms * 1_000_000);
@@ -191,14 +195,14 @@ mod tests {
             status.unwrap()
         };
         assert_eq!(both(&mut lift, 0).object, None);
-        lift.add_depth(&wall(180), DepthView::Colour, 40_000_000);
+        lift.add_depth(&plate(180), DepthView::Colour, 40_000_000);
         let held = both(&mut lift, 40);
         assert!(
             held.object
                 .is_some_and(|motion| motion.between_mm == Some(0.0))
                 && held.is_stable
         );
-        lift.add_depth(&wall(184), DepthView::Colour, 80_000_000);
+        lift.add_depth(&plate(184), DepthView::Colour, 80_000_000);
         let lost = both(&mut lift, 100);
         assert!(
             lost.object

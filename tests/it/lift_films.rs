@@ -113,13 +113,15 @@ fn follow(bench: &mut Bench, model: &Model, m_per_px: f64) -> Lift {
     let prediction = predicted.unwrap().prediction;
 
     bench.hand.move_to(HandTarget::Lifted);
-    let tracker = ObjectTracker::new(&depth, DepthView::Colour).unwrap();
+    // None where only walls along the approach direction are seen.
+    let tracker = ObjectTracker::new(&depth, DepthView::Colour);
     let frames: Vec<(usize, [RgbImage; 2], Option<ObjectMotion>)> = (0..30)
         .map(|_| {
             let images = bench.gels();
-            let object = tracker.motion(&bench.depth(), DepthView::Colour);
+            let depth = bench.depth();
+            let object = tracker.as_ref();
+            let object = object.and_then(|tracker| tracker.motion(&depth, DepthView::Colour));
             let step = bench.hand.scene_at(bench.clock.now_ns()).step;
-            println!("{} {object:?}", step.saturating_sub(closed));
             (step, images, object)
         })
         .collect();
@@ -153,7 +155,8 @@ fn verdict_in_the_lift_follows_held_and_lost_grasps() {
     let model = Model::by_name("gripcast-vt").unwrap();
     let m_per_px = SensorProfile::gelsight_mini().unwrap().geometry.pixel_m;
     let mut bench = Bench::new();
-    let mut right: [BTreeMap<usize, Vec<String>>; 2] = Default::default();
+    // Clips with a right verdict by inputs and rise, mm.
+    let mut right: [BTreeMap<u32, Vec<String>>; 2] = Default::default();
     for _ in 0..8 {
         let clip = bench.hand.truth(bench.clock.now_ns()).clip;
         let lift = follow(&mut bench, &model, m_per_px);
@@ -161,12 +164,15 @@ fn verdict_in_the_lift_follows_held_and_lost_grasps() {
             "{clip}: held {}, before the lift {}",
             lift.held, lift.before
         );
-        for (inputs, verdicts) in lift.verdicts.iter().enumerate() {
+        for (verdicts, right) in lift.verdicts.iter().zip(&mut right) {
             for (step, verdict) in verdicts {
-                println!("{inputs} {step:4} {verdict:?}");
+                println!("{step:4} {verdict:?}");
                 assert!(!(lift.held && verdict.is_slipping), "{clip}: {step}");
+            }
+            for (rise_mm, step) in [(2, 2), (5, 5), (10, 6)] {
+                let (_, verdict) = verdicts.range(..=step).next_back().unwrap();
                 if verdict.is_stable == lift.held {
-                    right[inputs].entry(*step).or_default().push(clip.clone());
+                    right.entry(rise_mm).or_default().push(clip.clone());
                 }
             }
             let (_, last) = verdicts.last_key_value().unwrap();
@@ -177,9 +183,11 @@ fn verdict_in_the_lift_follows_held_and_lost_grasps() {
         bench.hand.next_object();
     }
     println!("{right:?}");
-    // Steps 2 and 6 are at 2 mm and at 10 mm.
     let [gels, with_object] = right;
-    assert!(gels[&2].len() >= 6, "{:?}", gels[&2]);
-    assert!(gels[&6].len() >= 7, "{:?}", gels[&6]);
-    assert!(with_object[&2].len() == 8, "{:?}", with_object[&2]);
+    assert!(gels[&2].len() >= 6 && gels[&10].len() >= 7, "{gels:?}");
+    assert!(with_object[&2].len() >= 6, "{with_object:?}");
+    assert!(
+        with_object[&5].len() >= 7 && with_object[&10].len() >= 7,
+        "{with_object:?}"
+    );
 }

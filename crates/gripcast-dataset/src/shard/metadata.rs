@@ -114,7 +114,7 @@ mod tests {
             let error = ShardMetadata::parse(&text(version))
                 .unwrap_err()
                 .to_string();
-            assert!(error.contains("expected 1 to 2"), "{error}");
+            assert!(error.contains("expected 1 to 3"), "{error}");
         }
     }
 }

@@ -307,7 +307,7 @@ mod tests {
         // Changes with the format (then bump its version) or with the Parquet crate.
         assert_eq!(
             hash,
-            "b3ad45f572b42300f0634b18bfe94a98408e8c99ebe14af4b15fd87d552a297a"
+            "54d4851b0d053854db072fea694b94f245039be8e5968c56ef4e8fc684bed3ff"
         );
     }
 
