@@ -189,7 +189,7 @@ mod tests {
         };
         let tracker = ObjectTracker::new(&plate(180), DepthView::Colour).unwrap();
         let mut lift = LiveLift::new(0.5, [gel(10.0); 2], Some(tracker));
-        let mut both = |lift: &mut LiveLift, ms: u64| {
+        let both = |lift: &mut LiveLift, ms: u64| {
             lift.add(&head, Role::Left, gel(10.0), ms * 1_000_000);
             let status = lift.add(&head, Role::Right, gel(10.0), ms * 1_000_000);
             status.unwrap()
