@@ -382,7 +382,10 @@ fn optional_pose(cells: &mut Cells<'_>) -> Result<Option<Pose>> {
 
 fn lift_motion(gels: Option<Vec<f64>>, object: Option<Vec<f64>>) -> Result<Option<LiftMotion>> {
     let Some(gels) = gels else {
-        return Ok(None);
+        return match object {
+            None => Ok(None),
+            Some(_) => Err(column_error("lift_motion", "is null, object_motion is not")),
+        };
     };
     let motion = LiftMotion::from_gel_values(&gels).ok_or_else(|| {
         let what = format!(
@@ -443,4 +446,30 @@ fn pose(t_m: &[f64], q_wxyz: &[f64]) -> Result<Pose> {
         ));
     }
     Ok(Pose::new(rotation, translation_m))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn motion_of_the_object_must_belong_to_the_images() {
+        let gels = vec![0.0; 2 * 2 * GelMotion::LEN];
+        let read = |object| lift_motion(Some(gels.clone()), object);
+        assert_eq!(read(None).unwrap().unwrap().images.len(), 2);
+        let found = read(Some(vec![0.5, f64::NAN, 0.0, f64::NAN, f64::NAN, f64::NAN]));
+        let images = found.unwrap().unwrap().images;
+        assert_eq!(images[0].object.unwrap().between_mm, Some(0.5));
+        assert_eq!(images[1].object, None);
+        for wrong in [vec![0.0; 3], vec![f64::INFINITY; 6]] {
+            let error = read(Some(wrong)).unwrap_err().to_string();
+            assert!(
+                error.contains("object_motion") && error.contains("(6)"),
+                "{error}"
+            );
+        }
+        assert_eq!(lift_motion(None, None).unwrap(), None);
+        let error = lift_motion(None, Some(vec![0.0; 3])).unwrap_err();
+        assert!(error.to_string().contains("is null"), "{error}");
+    }
 }
