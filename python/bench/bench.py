@@ -4,7 +4,8 @@
 
 render_tactile beside `taxim` (with jax), and batches of a dataset beside `datasets`, where these are
 installed; `simulate_batch` with two threads beside one; `simulate` beside the same call of the program
-(`--program`, built with the same profile). Each figure is the best of several runs.
+(`--program`, built with the same profile). Each figure is the best of several runs; the hundred grasps of `simulate_batch`
+run once for each number of threads, after one run that warms up.
 """
 
 from __future__ import annotations
@@ -66,9 +67,10 @@ def rendering(runs: int) -> dict[str, Any]:
     return {**found, "taxim_size_px": [taxim.width, taxim.height]}
 
 
-def batch(runs: int) -> dict[str, Any]:
-    cases = [gc.GraspCase(ball(), gel="coarse", stop_force_n=STOP_FORCE_N + i, adjust_s=0.1, lift_m=0.01) for i in range(8)]
-    one, two = (best_s(lambda: gc.simulate_batch(cases, threads=threads), runs) for threads in (1, 2))
+def batch(count: int) -> dict[str, Any]:
+    forces = np.linspace(STOP_FORCE_N, 20, count)
+    cases = [gc.GraspCase(ball(), gel="coarse", stop_force_n=force) for force in forces]
+    one, two = (best_s(lambda: gc.simulate_batch(cases, threads=threads), 1) for threads in (1, 2))
     return {"grasps": len(cases), "one_thread_s": one, "two_threads_s": two, "speed_up": one / two}
 
 
@@ -114,8 +116,7 @@ def loading(count: int, runs: int) -> dict[str, Any]:
         def read() -> int:
             total = 0
             for start in range(0, count, 32):
-                grasps = dataset[start : start + 32]
-                total += np.stack([grasp.tactile_image("left") for grasp in grasps]).shape[0]
+                total += dataset[start : start + 32].tactile_images("left").shape[0]
             return total
 
         found: dict[str, Any] = {
@@ -147,7 +148,7 @@ def main() -> None:
     report = {
         "version": gc.__version__,
         "rendering": rendering(runs if arguments.quick else 50),
-        "simulate_batch": batch(runs),
+        "simulate_batch": batch(4 if arguments.quick else 100),
         "overhead": overhead(arguments.program, runs),
         "loading": loading(8 if arguments.quick else 128, runs),
     }

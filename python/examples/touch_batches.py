@@ -2,32 +2,41 @@
 
     python python/examples/touch_batches.py DATASET
 
-With torch installed, `torch.utils.data.DataLoader(dataset, batch_size=32, num_workers=2,
-collate_fn=collate)` does the same in several processes.
+With torch installed, `torch.from_numpy` makes tensors of the batches, and
+`torch.utils.data.DataLoader(dataset, batch_size=32, num_workers=2, collate_fn=collate)` reads grasps
+in several processes.
 """
 
 import sys
 from collections.abc import Iterator
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 import gripcast as gc
 
+SIDES: tuple[Literal["left"], Literal["right"]] = ("left", "right")
 Batch = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
 
-def collate(grasps: list[gc.Grasp]) -> Batch:
+def scaled(left: npt.NDArray[np.int16], right: npt.NDArray[np.int16], outcomes: list[str]) -> Batch:
     """Differences of both gels, batch × 6 × 240 × 320, from -1 to 1; 1 for a stable grasp."""
-    both = [[grasp.tactile_difference("left"), grasp.tactile_difference("right")] for grasp in grasps]
-    touch = np.concatenate([np.stack(pair).transpose(0, 3, 1, 2).reshape(1, 6, 240, 320) for pair in both])
-    stable = np.array([grasp.outcome == "stable" for grasp in grasps], dtype=np.float32)
-    return (touch / np.float32(255)).astype(np.float32), stable
+    touch = np.concatenate([left, right], axis=3).transpose(0, 3, 1, 2) / np.float32(255)
+    return touch.astype(np.float32), np.array([outcome == "stable" for outcome in outcomes], dtype=np.float32)
 
 
 def batches(dataset: gc.Dataset, size: int) -> Iterator[Batch]:
     for start in range(0, len(dataset), size):
-        yield collate(list(dataset[start : start + size]))
+        part = dataset[start : start + size]
+        left, right = part.tactile_differences("left"), part.tactile_differences("right")
+        yield scaled(left, right, [grasp.outcome for grasp in part])
+
+
+def collate(grasps: list[gc.Grasp]) -> Batch:
+    """A batch of the grasps that a `DataLoader` reads one by one."""
+    left, right = (np.stack([grasp.tactile_difference(side) for grasp in grasps]) for side in SIDES)
+    return scaled(left, right, [grasp.outcome for grasp in grasps])
 
 
 def main(path: str) -> None:

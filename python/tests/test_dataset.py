@@ -76,6 +76,19 @@ def test_images_are_those_that_were_stored(kitchen: gc.Dataset) -> None:
     assert grasp.markers("right") is None and grasp.fields("left") == ["markers"]
 
 
+def test_batches_are_the_images_of_the_grasps(kitchen: gc.Dataset) -> None:
+    for stage in ("initial", "grasp"):
+        images = [grasp.tactile_image("right", stage) for grasp in kitchen]
+        np.testing.assert_array_equal(kitchen.tactile_images("right", stage), np.stack(images))
+    differences = [grasp.tactile_difference("left") for grasp in kitchen]
+    batch = kitchen.tactile_differences("left")
+    np.testing.assert_array_equal(batch, np.stack(differences))
+    assert batch.dtype == np.int16
+    assert kitchen[:0].tactile_images("left").shape == (0, 240, 320, 3)
+    with pytest.raises(gc.UsageError, match="left"):
+        kitchen.tactile_images("top")  # type: ignore[arg-type]
+
+
 def test_missing_files_are_named(kitchen: gc.Dataset) -> None:
     grasp = kitchen[0]
     for call, error, words in [

@@ -1,7 +1,7 @@
 //! `gripcast bench live`: benchmarks the live path with frames from memory.
 //!
 //! Two 3280×2464 MJPG streams at 25 fps and 1280×720 YUYV and Z16 streams at 30 fps go through
-//! capture, decoding and a prediction per tactile frame. The tactile frames are synthetic; their
+//! capture, decoding, a prediction and a verdict in the lift per tactile frame. The tactile frames are synthetic; their
 //! size depends on `--quality`.
 
 use serde_json::json;
@@ -49,9 +49,19 @@ impl Args {
             note!("generating full-size frames, then measuring for {seconds} s");
         }
         let figures = run_load(model, LoadParams { seconds, quality })?;
+        let lift = match figures.lift_verdicts_per_s > 0.0 {
+            true => format!(
+                "verdicts in the lift {:.1}/s, {:.0} % with depth  frame to verdict {:.1} ms (p99)",
+                figures.lift_verdicts_per_s,
+                100.0 * figures.lift_verdicts_with_depth,
+                figures.lift_latency_p99_ms,
+            ),
+            false => "verdicts in the lift: the model gives none".to_owned(),
+        };
         let text = format!(
             "frames {}  dropped {}  tactile frames not decoded {}\n\
              predictions {:.1}/s  frame to prediction {:.1} ms (median) {:.1} ms (p99)\n\
+             {lift}\n\
              gel judged in {:.1} ms, shear in {:.1} ms (median)  {:.2} cores  {:.0} MB peak  gel frames of {:.0} kB",
             figures.received,
             figures.lost,

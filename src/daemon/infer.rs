@@ -183,6 +183,10 @@ pub(super) struct InferenceState {
     pub(super) failures: u64,
     /// Latency from frame to prediction, ms.
     pub(super) latency: LatencyHistogram,
+    /// Latency from the newest frame of a gel to the verdict in the lift, ms.
+    pub(super) lift_latency: LatencyHistogram,
+    /// Number of verdicts in the lift: all, those with the motion of the object.
+    pub(super) lift_verdicts: [u64; 2],
 }
 
 impl InferenceState {
@@ -500,7 +504,12 @@ impl Worker {
                 Topic::Prediction,
                 || serde_json::json!({ "lift": status, "frame_time_ns": time_ns }),
             );
-            lock(&self.state).lift = Some(status);
+            let mut state = lock(&self.state);
+            let latency_ns = monotonic_ns().saturating_sub(time_ns);
+            state.lift_latency.add(latency_ns as f64 * 1e-6);
+            state.lift_verdicts[0] += 1;
+            state.lift_verdicts[1] += u64::from(status.object.is_some());
+            state.lift = Some(status);
         }
     }
 

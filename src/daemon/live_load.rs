@@ -13,7 +13,8 @@ use image::{Rgb, RgbImage};
 use super::black_box::Tap;
 use super::capture::CaptureThreads;
 use super::decode;
-use super::hub::Hub;
+use super::histogram::LatencyHistogram;
+use super::hub::{Decoded, Hub};
 use super::infer::{InferRequest, Inference, PredictionRules};
 use super::shear::{GelForces, GelScale};
 use super::tasks::Tasks;
@@ -38,6 +39,11 @@ const QUEUE_FRAMES: u64 = 4;
 
 /// Size of a GelSight Mini's frame, pixels.
 const GEL_SIZE: (u32, u32) = (3280, 2464);
+
+/// Size of the frames of the wrist camera, pixels, and depths in them, mm.
+const WRIST_SIZE: (u32, u32) = (1280, 720);
+const OBJECT_MM: u16 = 180;
+const TABLE_MM: u16 = 250;
 
 /// Pitch, diameter and largest motion of the gel markers in a full frame, px: in the cropped image
 /// 31.5 px as in real frames, 12 px and 5 px.
@@ -75,6 +81,12 @@ pub struct LoadFigures {
     pub latency_p50_ms: f64,
     /// 99th percentile of the latency, ms.
     pub latency_p99_ms: f64,
+    /// Verdicts in the lift per second.
+    pub lift_verdicts_per_s: f64,
+    /// Fraction of them with the motion of the object in depth images.
+    pub lift_verdicts_with_depth: f64,
+    /// 99th percentile of the latency from the newest frame of a gel to the verdict in the lift, ms.
+    pub lift_latency_p99_ms: f64,
     /// Median time to judge a tactile image, ms.
     pub gel_judge_p50_ms: f64,
     /// Median time to measure the shear of a tactile image, ms.
@@ -87,7 +99,8 @@ pub struct LoadFigures {
     pub gel_frame_kb: f64,
 }
 
-/// Runs two 3280×2464 MJPG streams at 25/s and 1280×720 YUYV and Z16 at 30/s through the live path.
+/// Runs two 3280×2464 MJPG streams at 25/s and 1280×720 YUYV and Z16 at 30/s through the live path,
+/// with a prediction and a verdict in the lift of a saved grasp for every tactile frame.
 ///
 /// # Errors
 /// Errors of starting a thread, creating a decoder or loading the model.
@@ -95,8 +108,8 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
     let cameras = [
         (Role::Left, gel_frames(1, params.quality)?),
         (Role::Right, gel_frames(2, params.quality)?),
-        (Role::Rgb, raw_frames(PixelFormat::Yuyv)),
-        (Role::Depth, raw_frames(PixelFormat::Z16)),
+        (Role::Rgb, colour_frames()),
+        (Role::Depth, depth_frames()),
     ];
     let gel_bytes: usize = cameras[..2]
         .iter()
@@ -158,15 +171,18 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
         .requests
         .send(request)
         .map_err(|_| Error::internal("the inference thread has ended"))?;
+    begin_lift(&hub, &inference)?;
     std::thread::sleep(WARM_UP / 2);
 
     // Reports arrive twice a second; the counters before and after are equally old.
     let before = frame_counts(&hub);
     let predictions_before = {
         let mut state = inference.state();
-        state.latency = super::histogram::LatencyHistogram::default();
-        state.judge_time = super::histogram::LatencyHistogram::default();
-        state.shear_time = super::histogram::LatencyHistogram::default();
+        state.latency = LatencyHistogram::default();
+        state.judge_time = LatencyHistogram::default();
+        state.shear_time = LatencyHistogram::default();
+        state.lift_latency = LatencyHistogram::default();
+        state.lift_verdicts = [0; 2];
         state.predictions
     };
     let (cpu, started) = (process_cpu_s(), monotonic_ns());
@@ -183,6 +199,7 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
     let state = inference.stop();
     let state = lock(&state);
     let quantile = |q| state.latency.quantile_ms(q).unwrap_or(f64::NAN);
+    let [verdicts, with_depth] = state.lift_verdicts.map(|count| count as f64);
     Ok(LoadFigures {
         lost: after[0] - before[0],
         not_decoded: after[1] - before[1],
@@ -190,12 +207,37 @@ pub fn run_load(model: Model, params: LoadParams) -> Result<LoadFigures> {
         predictions_per_s: (state.predictions - predictions_before) as f64 / wall_s,
         latency_p50_ms: quantile(0.5),
         latency_p99_ms: quantile(0.99),
+        lift_verdicts_per_s: verdicts / wall_s,
+        lift_verdicts_with_depth: with_depth / verdicts,
+        lift_latency_p99_ms: state.lift_latency.quantile_ms(0.99).unwrap_or(f64::NAN),
         gel_judge_p50_ms: state.judge_time.quantile_ms(0.5).unwrap_or(f64::NAN),
         shear_p50_ms: state.shear_time.quantile_ms(0.5).unwrap_or(f64::NAN),
         cores,
         rss_mb: peak_rss_mb(),
         gel_frame_kb: gel_bytes as f64 / (2 * DISTINCT_FRAMES) as f64 * 1e-3,
     })
+}
+
+/// Saves a grasp of the newest images, so that its lift begins.
+fn begin_lift(hub: &Hub, inference: &Inference) -> Result<()> {
+    let newest: BTreeMap<Role, Decoded> = hub
+        .slots()
+        .filter_map(|slot| Some((slot.role, slot.latest()?)))
+        .collect();
+    let depth = newest
+        .get(&Role::Depth)
+        .and_then(|d| d.depth.as_deref().cloned());
+    let images = newest.into_iter().filter(|(role, _)| *role != Role::Depth);
+    let (reply, analysed) = channel();
+    let request = InferRequest::Analyse {
+        images: images.map(|(role, d)| (role, (*d.image).clone())).collect(),
+        depth,
+        reply,
+    };
+    let ended = |_| Error::internal("the inference thread has ended");
+    inference.requests.send(request).map_err(|_| ended(()))?;
+    analysed.recv().map_err(|_| ended(()))?;
+    Ok(())
 }
 
 /// Sums lost, not decoded (tactile only) and received frames over all cameras.
@@ -315,16 +357,36 @@ fn gel_frames(seed: u64, quality: u8) -> Result<Recording> {
     ))
 }
 
-fn raw_frames(format: PixelFormat) -> Recording {
-    let size = (1280, 720);
-    let bytes = size.0 as usize * size.1 as usize * 2;
+fn colour_frames() -> Recording {
+    let (width, height) = WRIST_SIZE;
     let frames = (0..2)
         .map(|i| {
-            let data: Vec<u8> = (0..bytes).map(|b| (b / 1280 + i * 16) as u8).collect();
+            let bytes = 0..(width * height * 2);
+            let data: Vec<u8> = bytes.map(|b| (b / width + i * 16) as u8).collect();
             data.into()
         })
         .collect();
-    recording("memory raw", format, size, 30.0, frames)
+    let format = PixelFormat::Yuyv;
+    recording("memory colour", format, WRIST_SIZE, 30.0, frames)
+}
+
+/// Generates depth images of an object between the fingers, which moves up and down by 1 mm.
+fn depth_frames() -> Recording {
+    let (width, height) = WRIST_SIZE;
+    let is_middle = |at: u32, side: u32| (side / 3..2 * side / 3).contains(&at);
+    let frames = (0..2)
+        .map(|i| {
+            let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+            let codes = pixels.map(|(x, y)| match is_middle(x, width) && is_middle(y, height) {
+                true => OBJECT_MM + i,
+                false => TABLE_MM,
+            });
+            let data: Vec<u8> = codes.flat_map(u16::to_le_bytes).collect();
+            data.into()
+        })
+        .collect();
+    let format = PixelFormat::Z16;
+    recording("memory depth", format, WRIST_SIZE, 30.0, frames)
 }
 
 struct MemoryOpener {
@@ -409,4 +471,36 @@ pub fn peak_rss_mb() -> f64 {
         .find_map(|line| line.strip_prefix("VmHWM:")?.trim().strip_suffix("kB"))
         .and_then(|kb| kb.trim().parse::<f64>().ok())
         .map_or(f64::NAN, |kb| kb * 1024.0 * 1e-6)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gripcast_imaging::{Depth, DepthImage, ObjectTracker};
+
+    #[test]
+    fn depth_images_show_an_object_that_moves() {
+        let recording = depth_frames();
+        let depths = recording.frames.iter().map(|frame| {
+            let codes = frame
+                .as_chunks()
+                .0
+                .iter()
+                .map(|code| u16::from_le_bytes(*code));
+            let (width, height) = WRIST_SIZE;
+            let image = DepthImage::from_vec(width, height, codes.collect()).unwrap();
+            Depth {
+                image,
+                unit_m: 0.001,
+            }
+        });
+        let [before, after]: [Depth; 2] = depths.collect::<Vec<_>>().try_into().unwrap();
+        let tracker = ObjectTracker::new(&before, DepthView::Colour).unwrap();
+        let moved = tracker.motion(&after, DepthView::Colour).unwrap();
+        let [low_mm, _, high_mm] = moved.summary_mm().unwrap();
+        assert!(
+            low_mm.abs() > 0.3 && (high_mm - low_mm).abs() < 0.5,
+            "{moved:?}"
+        );
+    }
 }

@@ -82,7 +82,7 @@ pub use opening::OpenReport;
 pub use prediction::{AdaptedPrediction, LiftVerdict, OpenOutcomes, PredictionRecord};
 pub use problem::{Problem, ProblemKind, ProblemSummary, VerifyReport};
 pub use provenance::Provenance;
-pub use reader::Dataset;
+pub use reader::{Dataset, TACTILE_SIZE};
 pub use record_file::PendingInitial;
 pub use recover::{Action, ActionKind, RecoverReport, recover};
 pub use schema::SCHEMA_VERSION;

@@ -19,7 +19,7 @@ use gripcast_base::files::{
 use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, Role, decode_png};
 
 /// Size of the cropped images that models and markers refer to, px.
-const CROPPED: [u32; 2] = [320, 240];
+pub const TACTILE_SIZE: [u32; 2] = [320, 240];
 
 /// A dataset opened for reading; any number of readers may coexist with one writer.
 #[derive(Clone, Debug)]
@@ -285,7 +285,7 @@ impl Dataset {
         let camera = record.stage(stage).cameras.get(&role);
         let crop = camera.and_then(|camera| camera.crop_profile.as_deref());
         let crop = crop.map(CropProfile::by_name).transpose()?;
-        let [width, height] = CROPPED;
+        let [width, height] = TACTILE_SIZE;
         let image = decoder.decode(&frame, crop.as_ref(), width, height);
         image.map_err(|e| {
             let place = format!("grasps/{} {role} {}", record.id, stage.name());

@@ -2,22 +2,28 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PySlice};
+use rayon::prelude::*;
 
 use super::append::{Arguments, Writer};
+use super::arrays::array;
 use super::failure::Outcome;
-use super::grasp_record::Grasp;
+use super::grasp_record::{Grasp, gel_of, stage_of};
 use super::pose::Pose;
 use super::predictor::Prediction;
 use super::work::{detached, interruptible, pool};
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::files::{GraspId, ObjectName};
 use gripcast_dataset as stored;
-use gripcast_dataset::{GroupKey, NewDataset, SplitFile, SplitPlan};
+use gripcast_dataset::{
+    GraspRecord, GroupKey, NewDataset, SplitFile, SplitPlan, Stage, TACTILE_SIZE,
+};
+use gripcast_imaging::{Decoder, TactileDifference};
 
 /// Outcomes of a grasp.
 const OUTCOMES: [&str; 3] = ["stable", "slip", "unlabelled"];
@@ -87,6 +93,39 @@ impl Dataset {
 }
 
 impl Dataset {
+    /// Reads pixel values of each grasp on all cores: grasps × 240 × 320 × 3.
+    fn batch<T: numpy::Element + Copy + 'static>(
+        &self,
+        py: Python<'_>,
+        values: impl Fn(&stored::Dataset, &mut Decoder, &GraspRecord) -> Result<Vec<T>>
+        + Send
+        + Sync
+        + 'static,
+    ) -> Outcome<Py<PyAny>> {
+        let (dataset, ids) = (Arc::clone(&self.dataset), self.list().clone());
+        let [width, height] = TACTILE_SIZE.map(|side| side as usize);
+        let shape = [ids.len(), height, width, 3];
+        let pool = pool(None)?;
+        let all = interruptible(py, move |cancel| {
+            let read = |decoder: &mut Option<Decoder>, id: &GraspId| {
+                if cancel.load(Ordering::Relaxed) {
+                    return Err(Error::internal("the call was interrupted"));
+                }
+                let decoder = match decoder {
+                    Some(decoder) => decoder,
+                    none => none.insert(Decoder::new()?),
+                };
+                values(&dataset, decoder, &dataset.grasp(id)?)
+            };
+            let read = pool.install(|| {
+                let values = ids.par_iter().map_init(|| None, read);
+                values.collect::<Result<Vec<Vec<T>>>>()
+            });
+            Ok(read.map_err(|e| explained(&dataset, e))?.concat())
+        })?;
+        Ok(array(py, all, &shape)?)
+    }
+
     fn parts(&self, file: SplitFile) -> BTreeMap<String, Self> {
         let parts = file.splits.into_iter();
         parts
@@ -422,6 +461,29 @@ impl Dataset {
             problems: problems
                 .map(|problem| Py::new(py, problem))
                 .collect::<PyResult<_>>()?,
+        })
+    }
+
+    /// The images of a gel (left or right) of all grasps, cropped as models see them, decoded on all
+    /// cores: grasps × 240 × 320 × 3, uint8, RGB. A slice gives a batch: `dataset[:32].tactile_images("left")`.
+    #[pyo3(signature = (side, stage = "grasp"))]
+    fn tactile_images(&self, py: Python<'_>, side: &str, stage: &str) -> Outcome<Py<PyAny>> {
+        let (role, stage) = (gel_of(side)?, stage_of(stage)?);
+        self.batch(py, move |dataset, decoder, record| {
+            let image = dataset.tactile_image(decoder, record, stage, role)?;
+            Ok(image.into_raw())
+        })
+    }
+
+    /// Tactile differences of a gel of all grasps, grasp − initial, decoded on all cores:
+    /// grasps × 240 × 320 × 3, int16, grey levels.
+    fn tactile_differences(&self, py: Python<'_>, side: &str) -> Outcome<Py<PyAny>> {
+        let role = gel_of(side)?;
+        self.batch(py, move |dataset, decoder, record| {
+            let mut image = |stage| dataset.tactile_image(decoder, record, stage, role);
+            let difference =
+                TactileDifference::between(&image(Stage::Initial)?, &image(Stage::Grasp)?)?;
+            Ok(difference.levels().to_vec())
         })
     }
 

@@ -23,7 +23,7 @@ pub(crate) struct Grasp {
     pub(crate) json: Vec<u8>,
 }
 
-fn stage_of(name: &str) -> Result<Stage> {
+pub(crate) fn stage_of(name: &str) -> Result<Stage> {
     let found = Stage::ALL.into_iter().find(|stage| stage.name() == name);
     found.ok_or_else(|| unknown_name("stage", name, &Stage::ALL.map(Stage::name)))
 }
