@@ -42,4 +42,5 @@ cp python/gripcast/*.py python/gripcast/*.pyi python/gripcast/py.typed "$package
 cp "$target/debug/libgripcast_native.so" "$package/_native.abi3.so"
 PATH=$home/bin:$PATH "$python" -m pytest "$@"
 "$python" -m mypy
+"$python" -m pyright --pythonpath "$python"
 "$python" -m mypy.stubtest --ignore-missing-stub gripcast

@@ -49,8 +49,8 @@ def rendering(runs: int) -> dict[str, Any]:
         "render_tactile_ms": 1e3 * best_s(lambda: gc.render_tactile(mesh, press_m=5e-4, profile=sensor), runs),
     }
     try:
-        import jax
-        from taxim import CALIB_GELSIGHT_MINI, Taxim
+        import jax  # pyright: ignore[reportMissingImports]
+        from taxim import CALIB_GELSIGHT_MINI, Taxim  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         return {**found, "taxim": f"not installed: {error}"}
     taxim = Taxim(CALIB_GELSIGHT_MINI, backend="jax", device="cpu")
@@ -125,7 +125,7 @@ def loading(count: int, runs: int) -> dict[str, Any]:
             "samples_per_s": count / best_s(read, runs),
         }
         try:
-            from datasets import load_dataset
+            from datasets import load_dataset  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             return {**found, "imagefolder": f"not installed: {error}"}
         folder_of_images = load_dataset("imagefolder", data_dir=str(path), split="train", cache_dir=folder + "/cache")

@@ -18,6 +18,7 @@ import gripcast as gc
 
 try:
     import gymnasium
+    from gymnasium.utils import seeding
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 except ImportError as _error:
@@ -239,7 +240,7 @@ class GraspVectorEnv(VectorEnv[_Array, _Array, npt.NDArray[Any]]):
         if len(seeds) != self.num_envs:
             raise gc.UsageError(f"`seed` must have {self.num_envs} seeds, found {len(seeds)}")
         if not self._random or any(one is not None for one in seeds):
-            self._random = [gymnasium.utils.seeding.np_random(one)[0] for one in seeds]
+            self._random = [seeding.np_random(one)[0] for one in seeds]
         first = self._first(range(self.num_envs))
         self._is_over = [False] * self.num_envs
         each = [first[i] for i in range(self.num_envs)]

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import gripcast
+import gripcast._client
 
 SOURCES = Path(__file__).resolve().parent.parent / "gripcast"
 # What the private names of types stand for.

@@ -158,7 +158,7 @@ def test_markers_are_arrays(program: str, tmp_path: Path) -> None:
         with pytest.raises(gc.BusyError, match="no initial frame"):
             client.markers("left")
         client.trigger()
-        wait(client, lambda state: all(s["summary"] for s in state.data["shear"].values()) and bool(state.data["shear"]))
+        wait(client, lambda state: [bool(shear["summary"]) for shear in state.data["shear"].values()] == [True, True])
         found = client.markers("left")
     finally:
         daemon.kill()
@@ -293,7 +293,7 @@ class Stranger(http.server.BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(body)
 
-    def log_message(self, *arguments: object) -> None:
+    def log_message(self, format: str, *args: object) -> None:
         pass
 
 

@@ -44,6 +44,7 @@ def test_batch_is_the_same_as_single_environments() -> None:
 def test_grasp_in_the_middle_holds() -> None:
     env = GraspEnv(max_grasps=4, mass_kg=(0.2, 0.2), friction=(0.6, 0.6), length_m=(0.14, 0.14))
     first, info = env.reset(seed=5)
+    observation, reward, terminated, truncated = first, 0.0, False, False
     for _ in range(4):
         shift = np.clip(-info["offset_m"] / 0.04, -1, 1)
         observation, reward, terminated, truncated, info = env.step(np.array([shift, 0.5], dtype=np.float32))

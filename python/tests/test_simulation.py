@@ -23,6 +23,7 @@ def close(simulation: gc.Simulation, force_n: float) -> gc.SimulationState:
 def test_closing_has_the_forces_of_simulate(sphere: gc.Object, result: gc.GraspResult) -> None:
     simulation = gc.Simulation(sphere, gel="coarse", max_speed_m_s=0.01)
     closing = [i for i, stage in enumerate(result.stage) if stage == "closure"]
+    state = simulation.state
     for i in closing:
         state = simulation.step(float(result.opening_m[i]))
         np.testing.assert_allclose(state.normal_force_n, result.normal_force_n[i], atol=1e-6)
