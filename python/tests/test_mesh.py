@@ -81,10 +81,15 @@ def test_builtin_shapes_have_names() -> None:
         gc.Mesh.builtin("mugg")
 
 
-@pytest.mark.parametrize(("mass_kg", "friction"), [(0.0, 0.4), (float("nan"), 0.4), (0.06, -0.1)])
+@pytest.mark.parametrize(("mass_kg", "friction"), [(0.0, 0.4), (float("nan"), 0.4), (60, 0.4), (6, 0.4), (0.06, -0.1)])
 def test_object_needs_a_mass_and_a_friction(mass_kg: float, friction: float) -> None:
     with pytest.raises(gc.InputError, match="mass_kg|friction"):
         gc.Object(gc.Mesh.builtin("box"), mass_kg, friction)
+
+
+def test_mesh_says_how_it_is_made() -> None:
+    with pytest.raises(TypeError, match="Mesh.load"):
+        gc.Mesh("cup.stl")  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
 
 
 def test_pose_and_matrix_are_the_same() -> None:

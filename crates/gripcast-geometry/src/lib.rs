@@ -43,7 +43,7 @@ pub use convex_hull::convex_hull;
 pub use corner_normals::{CREASE_RAD, corner_normals};
 pub use curved::curved;
 pub use grasp_geometry::GraspGeometry;
-pub use mass_properties::MassProperties;
+pub use mass_properties::{MassProperties, check_mass};
 pub use mesh::{MeshEdges, TriangleMesh};
 pub use mesh_file::{
     ImageSource, LengthUnit, MeshFormat, MeshMaterial, MeshPart, TexturedMesh, load_mesh,

@@ -2,9 +2,39 @@
 
 use glam::{DMat3, DVec3};
 
+use super::aabb::Aabb;
 use super::mesh::TriangleMesh;
 use super::solid::Solid;
 use gripcast_base::error::{Error, Result};
+use gripcast_base::number::NumberRange;
+
+/// Masses that a parallel gripper lifts; more usually means grams instead of kilograms.
+const MASS_KG: NumberRange = NumberRange::above(0.0, 10.0).unit("kg");
+/// Osmium, the densest solid.
+const MAX_DENSITY_KG_M3: f64 = 22_600.0;
+
+/// Checks the mass of an object with these bounds. An object may weigh more than its own volume of
+/// osmium, since a mesh of a cup has no content, but not more than its bounding box of it.
+///
+/// # Errors
+/// `Input` for a mass that is not above 0 and at most 10 kg, or that is impossible for an object of that size.
+pub fn check_mass(mass_kg: f64, bounds: &Aabb) -> Result<()> {
+    let remedy = "give the mass in kilograms (70 g are 0.070) and check the unit of the mesh";
+    MASS_KG
+        .check(mass_kg)
+        .map_err(|e| Error::input(format!("mass: {}", e.what())).remedy(remedy))?;
+    let size = bounds.extent();
+    let max = MAX_DENSITY_KG_M3 * size.element_product();
+    if mass_kg <= max {
+        return Ok(());
+    }
+    let [x, y, z] = (1e3 * size).to_array();
+    Err(Error::input(format!(
+        "mass: no object of {x:.1} × {y:.1} × {z:.1} mm weighs {mass_kg} kg: osmium of that size \
+         weighs {max:.2} kg"
+    ))
+    .remedy(remedy))
+}
 
 /// Integrals over the solid inside a surface, at unit density.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -126,6 +156,23 @@ mod tests {
     use crate::{Pose, builtin};
     use glam::DQuat;
     use std::f64::consts::PI;
+
+    #[test]
+    fn grams_and_millimetres_are_refused() {
+        let ball = uv_sphere(0.03, 16, 8).bounds();
+        assert!(check_mass(0.07, &ball).is_ok());
+        // A cup of thin walls is heavier than its walls of any material, not than its bounds.
+        assert!(check_mass(0.5, &ball).is_ok());
+        for (mass_kg, words) in [
+            (70.0, "at most 10 kg"),
+            (7.0, "60.0 × 60.0 × 60.0 mm"),
+            (0.0, "above 0"),
+            (f64::NAN, "NaN"),
+        ] {
+            let error = check_mass(mass_kg, &ball).unwrap_err().to_string();
+            assert!(error.contains(words) && error.contains("0.070"), "{error}");
+        }
+    }
 
     fn assert_close(found: f64, expected: f64, relative: f64) {
         assert!(

@@ -40,7 +40,7 @@ pub(crate) fn column(
 }
 
 /// Shape and type of an array, or the type of what is none, for errors.
-fn described(value: &Bound<'_, PyAny>) -> String {
+pub(crate) fn described(value: &Bound<'_, PyAny>) -> String {
     match value.cast::<PyUntypedArray>() {
         Ok(array) => format!("{} of shape {:?}", array.dtype(), array.shape()),
         Err(_) => value

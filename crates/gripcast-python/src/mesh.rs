@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use glam::DVec3;
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 
 use super::arrays::{array, indices, numbers};
@@ -12,8 +13,8 @@ use super::work::{detached, interruptible};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::number::NumberRange;
 use gripcast_geometry::{
-    BUILTIN_NAMES, MeshOptions, PrepareOptions, PreparedMesh, TriangleMesh, load_object_mesh,
-    prepare,
+    BUILTIN_NAMES, MeshOptions, PrepareOptions, PreparedMesh, TriangleMesh, check_mass,
+    load_object_mesh, prepare,
 };
 
 /// A mesh that is checked, repaired and in metres.
@@ -60,6 +61,15 @@ impl Mesh {
 
 #[pymethods]
 impl Mesh {
+    #[new]
+    #[pyo3(signature = (*_args, **_kwargs))]
+    fn new(_args: &Bound<'_, PyAny>, _kwargs: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
+        Err(PyTypeError::new_err(
+            "make a mesh with Mesh.load(path), Mesh.builtin(name) or Mesh.from_arrays(vertices_m, \
+             triangles)",
+        ))
+    }
+
     /// Names of the built-in shapes.
     #[classattr]
     #[allow(non_snake_case)]
@@ -209,12 +219,10 @@ impl Object {
     #[new]
     #[pyo3(signature = (mesh, mass_kg = 0.06, friction = 0.4))]
     fn new(mesh: &Mesh, mass_kg: f64, friction: f64) -> Outcome<Self> {
-        let check = |range: NumberRange, value, name: &str| {
-            let checked = range.check(value);
-            checked.map_err(|e| Error::input(format!("`{name}`: {}", e.what())))
-        };
-        check(NumberRange::POSITIVE, mass_kg, "mass_kg")?;
-        check(NumberRange::NOT_NEGATIVE, friction, "friction")?;
+        check_mass(mass_kg, &mesh.surface().bounds()).map_err(|e| e.at("mass_kg"))?;
+        NumberRange::NOT_NEGATIVE
+            .check(friction)
+            .map_err(|e| Error::input(format!("`friction`: {}", e.what())))?;
         if mesh.prepared.solid.is_none() {
             return Err(
                 Error::input("the mesh has no inside, which an object needs")

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use image::RgbImage;
 use pyo3::prelude::*;
 
-use super::arrays::{depth_counts, image};
+use super::arrays::{depth_counts, described, image};
 use super::failure::Outcome;
 use super::sensor::profile as named_profile;
 use super::work::{detached, interruptible, pool};
@@ -20,8 +20,18 @@ use gripcast_tactile::SensorProfile;
 /// Unit of depth images, m.
 const DEPTH_UNIT_M: f64 = 1e-3;
 
-/// Images of the left and the right gel.
-type Pair<'py> = [Bound<'py, PyAny>; 2];
+/// Copies the images of the left and the right gel.
+fn both(images: &Bound<'_, PyAny>, name: &str) -> Outcome<[RgbImage; 2]> {
+    let Ok([left, right]) = images.extract::<[Bound<'_, PyAny>; 2]>() else {
+        let found = described(images);
+        return Err(Error::input(format!(
+            "`{name}` must be the images (left, right) of both gels; found {found}"
+        ))
+        .into());
+    };
+    let left = image(&left, &format!("{name}[0]"))?;
+    Ok([left, image(&right, &format!("{name}[1]"))?])
+}
 
 /// A model that predicts whether a grasp is stable.
 #[pyclass(frozen, module = "gripcast")]
@@ -71,11 +81,11 @@ impl Predictor {
     fn predict(
         &self,
         py: Python<'_>,
-        initial: Option<Pair<'_>>,
-        grasp: Option<Pair<'_>>,
+        initial: Option<Bound<'_, PyAny>>,
+        grasp: Option<Bound<'_, PyAny>>,
         rgb: Option<Bound<'_, PyAny>>,
         depth: Option<Bound<'_, PyAny>>,
-        lift: Option<Vec<Pair<'_>>>,
+        lift: Option<Vec<Bound<'_, PyAny>>>,
         depth_view: &str,
         crop: Option<&str>,
         profile: Option<&Bound<'_, PyAny>>,
@@ -95,16 +105,11 @@ impl Predictor {
         if let Some(crop) = crop.filter(|crop| *crop != CropProfile::FULL) {
             contract.check_crop_profile(crop.name())?;
         }
-        let both = |[left, right]: Pair<'_>, name: &str| -> Outcome<[RgbImage; 2]> {
-            let left = image(&left, &format!("{name}[0]"))?;
-            Ok([left, image(&right, &format!("{name}[1]"))?])
-        };
-        let initial = initial.map(|pair| both(pair, "initial")).transpose()?;
-        let grasp = grasp.map(|pair| both(pair, "grasp")).transpose()?;
+        let initial = initial.map(|pair| both(&pair, "initial")).transpose()?;
+        let grasp = grasp.map(|pair| both(&pair, "grasp")).transpose()?;
         let mut lift_images = Vec::new();
         for (index, pair) in lift.iter().flatten().enumerate() {
             py.check_signals()?;
-            let pair = [pair[0].clone(), pair[1].clone()];
             lift_images.push(both(pair, &format!("lift[{index}]"))?);
         }
         let profile = profile.map(named_profile).transpose()?;

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, ObjectName, Root};
 use gripcast_geometry::{
-    Aabb, LengthUnit, MeshOptions, Pose, TriangleMesh, load_object_mesh_below,
+    Aabb, LengthUnit, MeshOptions, Pose, TriangleMesh, check_mass, load_object_mesh_below,
 };
 use gripcast_pose::PrintedSheet;
 use gripcast_sim::grasp::resting_pose;
@@ -19,8 +19,6 @@ use gripcast_sim::grasp::resting_pose;
 const SUFFIX: &str = ".toml";
 /// Version of the format.
 const SCHEMA: u32 = 1;
-/// Maximum plausible mass, kg; more usually means grams instead of kilograms.
-const MAX_MASS_KG: f64 = 10.0;
 /// Maximum height of the lowest point above or below the ground, m.
 const GROUND_TOLERANCE_M: f64 = 1e-3;
 
@@ -148,15 +146,6 @@ impl ObjectFile {
                 "use the version of gripcast that it was written for",
             );
         }
-        if !(self.mass_kg > 0.0 && self.mass_kg <= MAX_MASS_KG) {
-            return invalid(
-                format!(
-                    "`mass_kg` must be above 0 and at most {MAX_MASS_KG} kg, found {}",
-                    self.mass_kg
-                ),
-                "use kilograms: 70 g are 0.070",
-            );
-        }
         if self.stable_pose.is_some() && self.t_world_object.is_some() {
             return invalid(
                 "`stable_pose` and `t_world_object` exclude each other".to_owned(),
@@ -188,6 +177,7 @@ impl ReplayObject {
         let file = ObjectFile::read(path)?;
         let unit = file.unit.as_deref().unwrap_or("m").parse()?;
         let prepared = load_object_mesh_below(folder, &file.mesh, &file.mesh_options(unit)?)?;
+        check_mass(file.mass_kg, &prepared.mesh.bounds())?;
         let source = match file.mesh.starts_with("builtin:") {
             true => file.mesh.clone(),
             false => folder.path().join(&file.mesh).display().to_string(),

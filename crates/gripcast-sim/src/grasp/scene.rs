@@ -7,7 +7,7 @@ use crate::affine::{AffineBody, AffineState};
 use crate::fem::{GelGrid, GelPad, GelResolution};
 use crate::solver::{Collider, Drive, Gel, GelMaterial, Object, SolverParameters, System};
 use gripcast_base::error::{Error, Result};
-use gripcast_geometry::{MassProperties, Pose, TriangleMesh};
+use gripcast_geometry::{MassProperties, Pose, TriangleMesh, check_mass};
 
 /// Largest opening of the gripper, m.
 pub(crate) const MAX_OPENING_M: f64 = 0.2;
@@ -206,11 +206,9 @@ impl Scene {
     }
 
     fn validate(&self) -> Result<()> {
-        let (mass, friction, opening) = (self.mass_kg, self.friction, self.opening_m);
-        let (what, remedy) = if !(mass.is_finite() && mass > 0.0) {
-            let what = format!("the mass must be above 0 kg, found {mass}");
-            (what, "weigh the object and pass --mass-kg")
-        } else if !(friction.is_finite() && friction >= 0.0) {
+        check_mass(self.mass_kg, &self.mesh.bounds())?;
+        let (friction, opening) = (self.friction, self.opening_m);
+        let (what, remedy) = if !(friction.is_finite() && friction >= 0.0) {
             let what = format!("the friction coefficient must be 0 or more, found {friction}");
             (what, "pass --friction between 0 and about 1.5")
         } else if !(opening > 0.0 && opening <= MAX_OPENING_M) {

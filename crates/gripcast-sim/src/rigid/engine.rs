@@ -15,7 +15,7 @@ use crate::grasp::{GraspResult, MAX_OPENING_M};
 use crate::{Engine, EngineKind, GraspSetup};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::BeneathPath;
-use gripcast_geometry::TriangleMesh;
+use gripcast_geometry::{TriangleMesh, check_mass};
 
 /// Rigid fingers and a rigid object of convex pieces; the grasping force is the motor force per
 /// finger.
@@ -103,8 +103,8 @@ impl Engine for RigidEngine {
 }
 
 fn validate(setup: &GraspSetup, friction: f64, force_n: f64) -> Result<()> {
+    check_mass(setup.mass_kg, &setup.mesh.bounds())?;
     let numbers = [
-        ("mass", setup.mass_kg, "kg", 1e-6, 1e3),
         ("friction coefficient", friction, "", 0.0, 100.0),
         ("grasping force", force_n, "N", 1e-6, 1e5),
         ("opening", setup.opening_m, "m", 1e-6, MAX_OPENING_M),

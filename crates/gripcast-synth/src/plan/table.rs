@@ -9,12 +9,10 @@ use crate::properties::{DescribedAppearance, FRICTION_RANGE, Material};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, SimulationId, read_text};
 use gripcast_base::random::SeedStream;
-use gripcast_geometry::{MeshOptions, load_object_mesh_below};
+use gripcast_geometry::{MeshOptions, check_mass, load_object_mesh_below};
 
 /// Version of the format.
 const SCHEMA: u32 = 1;
-/// Maximum plausible mass, kg; more usually means grams instead of kilograms.
-const MAX_MASS_KG: f64 = 10.0;
 /// Default width of textures on objects, m.
 const TEXTURE_WIDTH_M: f64 = 0.1;
 
@@ -108,7 +106,6 @@ fn invalid_table() -> Error {
 }
 
 fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
-    in_range("mass_kg", row.mass_kg, [0.0, MAX_MASS_KG])?;
     in_range("fill", row.fill, [0.0, 1.0])?;
     in_range("friction", row.friction, FRICTION_RANGE)?;
     if row.category.trim().is_empty() {
@@ -128,6 +125,9 @@ fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
     };
     let options = MeshOptions::new(unit.parse()?, row.scale.unwrap_or(1.0));
     let mesh = load_object_mesh_below(folder, &row.mesh, &options)?.mesh;
+    if let Some(mass_kg) = row.mass_kg {
+        check_mass(mass_kg, &mesh.bounds())?;
+    }
     let seed = SeedStream::named(seed, &format!("object {}", row.name)).bits();
     let width_m = row.texture_width_m.unwrap_or(TEXTURE_WIDTH_M);
     let texture = |file: &String| {
@@ -221,7 +221,8 @@ mod tests {
     #[test]
     fn invalid_rows_are_left_out_with_reasons() {
         let wrong = [
-            ("mass_kg = 210", "from 0 to 10"),
+            ("mass_kg = 210", "at most 10 kg"),
+            ("mass_kg = 9", "osmium"),
             ("friction = 0.01", "from 0.1 to 1.5"),
             ("fill = nan", "fill"),
             ("scale = -1", "scale"),
