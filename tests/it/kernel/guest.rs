@@ -70,13 +70,10 @@ fn emulator() -> &'static Path {
         let program_dir = Path::new(env!("CARGO_BIN_EXE_gripcast")).parent().unwrap();
         let mut cargo = Command::new(env!("CARGO"));
         cargo
-            .args([
-                "build",
-                "--offline",
-                "--quiet",
-                "--example",
-                "usbip-cameras",
-            ])
+            // With the features that libraries have in `cargo test --workspace`: with others, as for
+            // this package alone, they would all be compiled again.
+            .args(["build", "--offline", "--quiet", "--workspace"])
+            .args(["--lib", "--bins", "--examples"])
             .arg("--target-dir")
             .arg(program_dir.parent().unwrap())
             .current_dir(env!("CARGO_MANIFEST_DIR"));

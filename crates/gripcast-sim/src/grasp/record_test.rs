@@ -129,7 +129,7 @@ fn integers_of_any_size_round_trip() {
 fn early_end_keeps_outcome_record_and_the_steps_before() {
     let cases = [
         ("mug", 0.2, GraspOutcome::Success),
-        ("sphere", 6.0, GraspOutcome::Slip),
+        ("sphere", 2.8, GraspOutcome::Slip),
     ];
     for (object, mass_kg, outcome) in cases {
         let (full, grid) = grasp_of(object, mass_kg, 0.05, false);
