@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal, TypedDict, final, overload
 
 import numpy as np
 import numpy.typing as npt
-from typing_extensions import Unpack
+from typing_extensions import Never, Unpack
 
 _Floats = npt.NDArray[np.float64]
 _Floats32 = npt.NDArray[np.float32]
@@ -60,6 +60,7 @@ class Pose:
 @final
 class Mesh:
     BUILTIN: ClassVar[tuple[str, ...]]
+    def __new__(cls, *_args: Never, **_kwargs: Never) -> Mesh: ...  # load, builtin, from_arrays
     @staticmethod
     def load(
         path: _Path,

@@ -194,6 +194,8 @@ def class_section(node: ast.ClassDef, owner: type | None) -> list[str]:
     if bases:
         lines += [f"\nBases: {', '.join(f'`{readable(base)}`' for base in bases)}."]
     made = [c for c in node.body if isinstance(c, ast.FunctionDef) and c.name in ("__new__", "__init__")]
+    # A class that has no constructor says so when it is called.
+    made = [c for c in made if "Never" not in ast.unparse(c.args)]
     if made and not isinstance(owner, type(None)) and not issubclass(owner, BaseException):
         lines += block(f"{node.name}{signature(made[0], '__new__', True)}", "")
     return lines + members(node, owner, meanings)

@@ -132,7 +132,7 @@ def test_lift_is_judged_image_by_image(touch: Any) -> None:
     with pytest.raises(gc.InputError, match=r"`lift\[1\]\[0\]` must be cropped"):
         predictor.predict(initial, grasp, lift=[grasp, (large, large)])
     with pytest.raises(gc.InputError, match=r"`lift\[0\]` must be the images \(left, right\) of both gels; found uint8"):
-        predictor.predict(initial, grasp, lift=[grasp[0]])  # type: ignore[list-item]  # pyright: ignore[reportArgumentType]
+        predictor.predict(initial, grasp, lift=[grasp[0]])
     with pytest.raises(gc.UsageError, match="`initial`"):
         predictor.predict(rgb=colour(), lift=[grasp])
     with pytest.raises(gc.InputError, match="no verdict in the lift") as caught:

@@ -89,7 +89,7 @@ def test_object_needs_a_mass_and_a_friction(mass_kg: float, friction: float) -> 
 
 def test_mesh_says_how_it_is_made() -> None:
     with pytest.raises(TypeError, match="Mesh.load"):
-        gc.Mesh("cup.stl")  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
+        gc.Mesh("cup.stl")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
 
 
 def test_pose_and_matrix_are_the_same() -> None:
