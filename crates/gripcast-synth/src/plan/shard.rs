@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use super::{Plan, PlannedSimulation};
 use gripcast_base::error::{Error, Result};
+use gripcast_base::random::SeedStream;
 
 /// Environment variables in which schedulers pass the index of a task, from 0.
 pub const INDEX_VARIABLES: [&str; 4] = [
@@ -74,13 +75,11 @@ impl Shard {
         Self::new(index, count)
     }
 
-    /// Selects the simulations of the shard, in the order of the plan. Shards have equal estimated
-    /// costs: each simulation, the most expensive first, goes to the shard with the lowest cost so
-    /// far.
+    /// Selects the simulations of the shard, object by object in a random order that depends on the
+    /// plan's seed: a plan is sorted by category, and what is finished of an interrupted run has to
+    /// be a sample of it. Shards have equal estimated costs: each simulation, the most expensive
+    /// first, goes to the shard with the lowest cost so far.
     pub fn select(self, plan: &Plan) -> Vec<&PlannedSimulation> {
-        if self.count == 1 {
-            return plan.simulations.iter().collect();
-        }
         let all = &plan.simulations;
         let mut order: Vec<usize> = (0..all.len()).collect();
         order.sort_by(|a, b| all[*b].cost_s.total_cmp(&all[*a].cost_s).then(a.cmp(b)));
@@ -94,7 +93,10 @@ impl Shard {
                 mine.push(index);
             }
         }
-        mine.sort_unstable();
+        mine.sort_by_cached_key(|&index| {
+            let object = format!("order of {}", all[index].object);
+            (SeedStream::named(plan.header.seed, &object).bits(), index)
+        });
         mine.into_iter().map(|index| &all[index]).collect()
     }
 }
@@ -109,6 +111,7 @@ impl fmt::Display for Shard {
 mod tests {
     use super::*;
     use crate::plan::sample_plan;
+    use gripcast_base::files::SimulationId;
 
     fn nothing(_: &str) -> Option<String> {
         None
@@ -133,6 +136,25 @@ mod tests {
         assert!(text("half", "0").contains("invalid shard `half`"));
         let error = Shard::parse("/8", nothing).unwrap_err().to_string();
         assert!(error.contains("has no index"), "{error}");
+    }
+
+    #[test]
+    fn half_a_run_has_half_of_each_category_and_whole_objects() {
+        let mut plan = sample_plan(200);
+        for (number, simulation) in plan.simulations.iter_mut().enumerate() {
+            let name = format!("{}-{:04}", ["block", "tube"][number / 100], number / 2);
+            simulation.object = SimulationId::parse(&name).unwrap();
+        }
+        let order = Shard::WHOLE.select(&plan);
+        assert_eq!(order, Shard::WHOLE.select(&plan));
+        for pair in order.chunks(2) {
+            assert_eq!(pair[0].object, pair[1].object);
+        }
+        let half = &order[..100];
+        let tubes = half
+            .iter()
+            .filter(|s| s.object.as_str().starts_with("tube"));
+        assert!((35..=65).contains(&tubes.count()));
     }
 
     #[test]
