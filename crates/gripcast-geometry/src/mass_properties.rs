@@ -17,12 +17,13 @@ const MAX_DENSITY_KG_M3: f64 = 22_600.0;
 /// osmium, since a mesh of a cup has no content, but not more than its bounding box of it.
 ///
 /// # Errors
-/// `Input` for a mass that is not above 0 and at most 10 kg, or that is impossible for an object of that size.
+/// `Input` for a mass that is not above 0 and at most 10 kg, or that is impossible for an object of
+/// that size.
 pub fn check_mass(mass_kg: f64, bounds: &Aabb) -> Result<()> {
     let remedy = "give the mass in kilograms (70 g are 0.070) and check the unit of the mesh";
     MASS_KG
         .check(mass_kg)
-        .map_err(|e| Error::input(format!("mass: {}", e.what())).remedy(remedy))?;
+        .map_err(|e| Error::input(format!("`mass_kg`: {}", e.what())).remedy(remedy))?;
     let size = bounds.extent();
     let max = MAX_DENSITY_KG_M3 * size.element_product();
     if mass_kg <= max {
@@ -30,8 +31,8 @@ pub fn check_mass(mass_kg: f64, bounds: &Aabb) -> Result<()> {
     }
     let [x, y, z] = (1e3 * size).to_array();
     Err(Error::input(format!(
-        "mass: no object of {x:.1} × {y:.1} × {z:.1} mm weighs {mass_kg} kg: osmium of that size \
-         weighs {max:.2} kg"
+        "`mass_kg`: no object of {x:.1} × {y:.1} × {z:.1} mm weighs {mass_kg} kg: osmium of that \
+         size weighs {max:.2} kg"
     ))
     .remedy(remedy))
 }

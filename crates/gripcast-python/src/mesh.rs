@@ -219,7 +219,7 @@ impl Object {
     #[new]
     #[pyo3(signature = (mesh, mass_kg = 0.06, friction = 0.4))]
     fn new(mesh: &Mesh, mass_kg: f64, friction: f64) -> Outcome<Self> {
-        check_mass(mass_kg, &mesh.surface().bounds()).map_err(|e| e.at("mass_kg"))?;
+        check_mass(mass_kg, &mesh.surface().bounds())?;
         NumberRange::NOT_NEGATIVE
             .check(friction)
             .map_err(|e| Error::input(format!("`friction`: {}", e.what())))?;

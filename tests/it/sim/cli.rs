@@ -467,6 +467,8 @@ fn invalid_numbers_are_rejected() {
     }
     let cases = [
         ("--width 3", "opening"),
+        ("--mass-kg 60", "at most 10 kg"),
+        ("--mass-kg 9", "osmium"),
         ("--stable-pose 99", "stable pose 99"),
     ];
     for (flags, word) in cases {
