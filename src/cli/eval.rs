@@ -3,6 +3,7 @@
 //! Exit codes: 0 evaluated · 1 failed · 2 usage · 130 interrupted.
 
 use std::path::PathBuf;
+use std::slice;
 
 use serde_json::json;
 
@@ -68,7 +69,7 @@ fn evaluated(args: &Args, progress: &Progress) -> Result<EvalReport> {
         .collect::<Result<Vec<_>>>()?;
     let samples = Samples::open(&args.data, &args.split)?;
     let training = Samples::open(&args.data, "train").ok();
-    let sha256 = dataset_sha256(&args.data)?;
+    let sha256 = dataset_sha256(slice::from_ref(&args.data))?;
     let on_progress = |done: usize, total: usize| progress.count(done, total);
     let mut report = evaluate(&models, &samples, training.as_ref(), &sha256, &on_progress)?;
     let error_rate = args.error_rate.unwrap_or(DEFAULT_ERROR_RATE);

@@ -1,6 +1,7 @@
 //! `gripcast predict conformal`: writes a model with the conformal scores of labelled grasps.
 
 use std::path::PathBuf;
+use std::slice;
 
 use super::working::interruptible;
 use super::{Context, print_report};
@@ -38,11 +39,10 @@ pub(super) fn run(context: &Context, args: ConformalArgs) -> Result<()> {
         let bytes = model_bytes(&args.model)?;
         let model = Model::from_bytes(&bytes).map_err(|e| e.at(&args.model))?;
         let samples = Samples::open(&args.data, &args.split)?;
-        let ours = samples.objects();
         let trained = trained_objects(model.contract());
-        let shared = ours.iter().filter(|name| trained.contains(**name)).count();
+        let shared = samples.count_named(&trained);
         let count = samples.facts().len();
-        let sha256 = dataset_sha256(&args.data)?;
+        let sha256 = dataset_sha256(slice::from_ref(&args.data))?;
         let dataset = sha256.get(..12).unwrap_or_default();
         let source = format!("{} of dataset {dataset}", args.split);
         let scores = conformal_scores(&model, &samples, &source, &|done| {

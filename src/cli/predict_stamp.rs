@@ -122,7 +122,7 @@ fn contract(args: &StampArgs) -> Result<ModelContract> {
 
 fn data_sha256(data: &Path) -> Result<String> {
     if data.is_dir() {
-        return dataset_sha256(data);
+        return dataset_sha256(&[data.to_owned()]);
     }
     read_regular(data, FileKind::List)
         .map(sha256_hex)

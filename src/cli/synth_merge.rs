@@ -90,7 +90,11 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             "{} simulations of the plan are open, {} failed",
             report.open, report.failed
         ),
-    ))
+    )
+    .remedy(match report.open {
+        0 => "repeat them: gripcast synth run --retry-failed",
+        _ => "finish them with `gripcast synth run` and merge again for the whole plan",
+    }))
 }
 
 impl SelectionFlags {
@@ -125,5 +129,15 @@ fn text(report: &MergeReport) -> String {
     text.push_str(&format!(
         "left out: {left_out} for balance and caps, {without} without a visible outcome"
     ));
+    if !report.incomplete.is_empty() {
+        let category = |(name, [finished, planned]): (&String, &[usize; 2])| {
+            format!("{name} {finished} of {planned}")
+        };
+        let categories: Vec<_> = report.incomplete.iter().map(category).collect();
+        text.push_str(&format!(
+            "\nincomplete categories: {}",
+            categories.join(", ")
+        ));
+    }
     text
 }

@@ -31,9 +31,10 @@ use gripcast_train::{
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder of the dataset (`synth merge`, `dataset import`, `dataset export --to training`)
-    #[arg(long, value_name = "DIR")]
-    data: PathBuf,
+    /// Folder of the dataset (`synth merge`, `dataset import`, `dataset export --to training`);
+    /// repeat it to train on several datasets together
+    #[arg(long, value_name = "DIR", required = true)]
+    data: Vec<PathBuf>,
     /// Output directory; an existing run is resumed
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -103,7 +104,8 @@ fn under_dashboard(args: Args) -> Result<Value> {
         let name = path.file_name().unwrap_or(path.as_os_str());
         name.to_string_lossy().into_owned()
     };
-    let status = TrainingStatus::new(&name(&args.data), &name(&args.out), settings, args.seeds);
+    let datasets: Vec<String> = args.data.iter().map(|data| name(data)).collect();
+    let status = TrainingStatus::new(&datasets.join(", "), &name(&args.out), settings, args.seeds);
     let (screen, cancel) = TrainingScreen::start(status)?;
     let on_progress = screen.sender();
     let report = resumable_under_screen(cancel, move || all_seeds(&args, &sources, &on_progress));
@@ -279,7 +281,7 @@ impl Args {
         }
         settings(match self.modality {
             Some(modality) => modality,
-            None => Samples::open(&self.data, "train")?.modality()?,
+            None => Samples::open_all(&self.data, "train")?.modality()?,
         })
     }
 }

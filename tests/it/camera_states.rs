@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use crate::daemon::{Daemon, Place};
 use crate::program::{
-    collect_on, grasps, gripcast, json as json_of, relax_guards, script, succeed, verify,
+    collect_on, grasps, gripcast, json as json_of, poll, relax_guards, script, succeed, verify,
 };
 
 const SIZE: (u32, u32) = (320, 240);
@@ -102,18 +102,19 @@ fn daemon_of(place: &Place, rig: &Path) -> Daemon {
 
 /// State of a camera once it is one of `expected`; fails when it has judged many frames without.
 fn state_of(daemon: &Daemon, role: &str, expected: &[&str]) -> Value {
-    loop {
+    poll(|| {
         let state = daemon.get("/api/state");
         let cameras = state["cameras"].as_array().unwrap();
         let Some(camera) = cameras.iter().find(|camera| camera["role"] == role) else {
-            continue;
+            return Err(state.to_string());
         };
         if expected.contains(&camera["state"].as_str().unwrap()) {
-            return camera.clone();
+            return Ok(camera.clone());
         }
         let frames = camera["received"].as_u64().unwrap() + camera["damaged"].as_u64().unwrap();
         assert!(frames < 250, "expected {expected:?}, found {camera}");
-    }
+        Err(camera.to_string())
+    })
 }
 
 /// Kinds of frames by name, each as a stream of several frames.
@@ -270,16 +271,17 @@ fn depth_without_depth_is_saved_and_told() {
     assert_eq!(daemon.get("/api/health")["ok"], true);
     assert_eq!(daemon.trigger()["state"]["session"]["step"], "grasp");
     // The grasp may need an override, because nothing touches the gels; missing depth does not.
-    loop {
+    poll(|| {
         let (status, refusal) = daemon.command("trigger");
         let reasons = refusal["reasons"].to_string();
         assert!(!reasons.contains("sees nothing"), "{refusal}");
         // Right after the initial frame there is no newer one yet.
         let is_saved = status == 200;
         if is_saved || refusal["can_override"] == true && daemon.command("override").0 == 200 {
-            break;
+            return Ok(());
         }
-    }
+        Err(refusal.to_string())
+    });
     let (_, grasp) = grasps(&place.dataset()).pop_first().unwrap();
     assert_eq!(grasp["grasp"]["cameras"]["depth"]["valid_fraction"], 0.0);
     let check = gripcast()

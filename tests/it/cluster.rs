@@ -10,7 +10,7 @@ use std::process::{Child, Command, Stdio};
 use gripcast_base::error::ErrorKind;
 use serde_json::{Value, json};
 
-use crate::program::wait_until;
+use crate::program::{end_of, wait_until};
 use gripcast_testing::{Needs, skip};
 
 /// Exit code of the script if Slurm cannot run.
@@ -155,5 +155,5 @@ fn evicted_pod_stops_its_shard() {
     // Only the shell: Kubernetes signals the first process.
     let shell = rustix::process::Pid::from_child(&pod);
     rustix::process::kill_process(shell, rustix::process::Signal::TERM).unwrap();
-    assert_eq!(pod.wait().unwrap().code(), Some(i32::from(stopped)));
+    assert_eq!(end_of(&mut pod).code(), Some(i32::from(stopped)));
 }

@@ -13,7 +13,9 @@ use std::sync::mpsc::{Receiver, channel};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::program::{grasps, gripcast, json as json_of, stderr, succeed, verify};
+use crate::program::{
+    STUCK, end_of, grasps, gripcast, json as json_of, poll, stderr, succeed, verify,
+};
 
 /// A running daemon, killed on drop.
 pub(crate) struct Daemon {
@@ -81,8 +83,8 @@ impl Daemon {
         let mut before = Vec::new();
         let address = loop {
             let line = said
-                .recv()
-                .unwrap_or_else(|_| panic!("it ended early: {before:#?}"));
+                .recv_timeout(STUCK)
+                .unwrap_or_else(|e| panic!("it ended early or is stuck ({e}): {before:#?}"));
             if let Some(address) = line.strip_prefix("page and API: http://") {
                 break address.trim_end_matches('/').to_owned();
             }
@@ -145,25 +147,27 @@ impl Daemon {
     /// Triggers until no guard refuses: the gripper may not have closed yet.
     pub(crate) fn trigger(&self) -> Value {
         self.wait_for_open_gripper();
-        loop {
+        poll(|| {
             let (status, answer) = self.command("trigger");
             match status {
-                200 => return answer,
+                200 => return Ok(answer),
                 409 => assert_ne!(answer["reasons"], json!([]), "{answer}"),
                 _ => panic!("{status}: {answer}"),
             }
-        }
+            Err(answer.to_string())
+        })
     }
 
     /// Before an initial frame: waits until the virtual hand has let go of the last object.
     fn wait_for_open_gripper(&self) {
-        loop {
+        poll(|| {
             let state = self.get("/api/state");
             let mut gels = state["gels"].as_object().unwrap().values();
             if state["session"]["step"] != "initial" || gels.all(|gel| gel["change"] != "contact") {
-                return;
+                return Ok(());
             }
-        }
+            Err(state.to_string())
+        });
     }
 
     /// One whole grasp; returns its id.
@@ -191,7 +195,7 @@ impl Daemon {
     /// Waits for a line.
     fn hear(&self, text: &str) {
         loop {
-            let line = self.said.recv().expect("the daemon must not end");
+            let line = self.said.recv_timeout(STUCK).expect("a line of the daemon");
             if line.contains(text) {
                 return;
             }
@@ -200,7 +204,7 @@ impl Daemon {
 
     pub(crate) fn stop(mut self) -> Option<i32> {
         self.signal(Signal::TERM);
-        self.child.wait().unwrap().code()
+        end_of(&mut self.child).code()
     }
 }
 
@@ -471,13 +475,15 @@ fn programs_get_each_image_of_a_gel_once_without_loss() {
         rest.lines().next().unwrap().trim().parse().unwrap()
     };
     // Until the first image there is none.
-    let image = |path: &str| loop {
-        let (status, head, body) = ask(path);
-        match status {
-            200 => break (driver_time(&head), image::load_from_memory(&body).unwrap()),
-            204 | 503 => {}
-            _ => panic!("{path}: {head}"),
-        }
+    let image = |path: &str| {
+        poll(|| {
+            let (status, head, body) = ask(path);
+            match status {
+                200 => Ok((driver_time(&head), image::load_from_memory(&body).unwrap())),
+                204 | 503 => Err(head),
+                _ => panic!("{path}: {head}"),
+            }
+        })
     };
     let (first_ns, first) = image("/api/cameras/left/image.png");
     assert_eq!((first.width(), first.height()), (320, 240));
@@ -748,12 +754,10 @@ fn removed_dataset_is_reported_and_no_grasp_is_lost() {
     let id = daemon.grasp("stable");
     let away = place.0.path().join("away");
     fs::rename(place.dataset(), &away).unwrap();
-    let (status, answer) = loop {
-        let (status, answer) = daemon.command("trigger");
-        if status != 409 {
-            break (status, answer);
-        }
-    };
+    let (status, answer) = poll(|| match daemon.command("trigger") {
+        (409, answer) => Err(answer.to_string()),
+        other => Ok(other),
+    });
     assert_eq!(
         (status, &answer["result"]),
         (500, &json!("failed")),
@@ -800,14 +804,15 @@ fn reload_applies_guards_and_names_other_changes() {
     daemon.signal(Signal::HUP);
     daemon.hear("settings reloaded");
     daemon.hear("need a restart: collect.licence");
-    let reasons = loop {
+    let reasons = poll(|| {
         let (status, answer) = daemon.command("trigger");
         assert_eq!(status, 409, "{answer}");
         let reasons = answer["reasons"].to_string();
-        if reasons.contains("touch") || reasons.contains("contact") {
-            break reasons;
+        match reasons.contains("touch") || reasons.contains("contact") {
+            true => Ok(reasons),
+            false => Err(reasons),
         }
-    };
+    });
     assert!(!reasons.is_empty());
     fs::write(&config, "[guards]\nmin_contact = 1\n").unwrap();
     daemon.signal(Signal::HUP);

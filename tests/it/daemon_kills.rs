@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 
 use crate::crash::RIG;
 use crate::daemon::{Daemon, try_post};
-use crate::program::{gripcast, relax_guards, verify};
+use crate::program::{gripcast, poll, relax_guards, verify};
 
 /// Number of kills without `GRIPCAST_KILLS`.
 const KILLS: u64 = 10;
@@ -151,9 +151,10 @@ fn start(rig: &Path, dataset: &Path, seed: u64) -> Daemon {
     relax_guards(&mut command);
     let daemon = Daemon::start(&mut command);
     // Earlier triggers would be refused.
-    while !is_live(&daemon.get("/api/state")) {
-        std::thread::yield_now();
-    }
+    poll(|| match daemon.get("/api/state") {
+        state if is_live(&state) => Ok(()),
+        state => Err(state.to_string()),
+    });
     daemon
 }
 

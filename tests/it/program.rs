@@ -1,7 +1,8 @@
 //! Running the program as a user does.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
@@ -112,13 +113,44 @@ pub(crate) fn grasps(dataset: &Path) -> std::collections::BTreeMap<String, Value
     found
 }
 
+/// Whoever waits longer is stuck: everything that tests wait for takes seconds.
+pub(crate) const STUCK: Duration = Duration::from_secs(600);
+
+/// Repeats a step until it has a result; a test that is stuck fails with what it saw last.
+pub(crate) fn poll<T>(mut step: impl FnMut() -> Result<T, String>) -> T {
+    let start = Instant::now();
+    loop {
+        match step() {
+            Ok(result) => return result,
+            Err(seen) => assert!(start.elapsed() < STUCK, "stuck at: {seen}"),
+        }
+        std::thread::yield_now();
+    }
+}
+
 /// Waits for what a running program does; it must not end before.
-pub(crate) fn wait_until(child: &mut std::process::Child, mut done: impl FnMut() -> bool) {
-    while !done() {
-        assert!(
-            child.try_wait().unwrap().is_none(),
-            "the program ended too early"
-        );
+pub(crate) fn wait_until(child: &mut Child, mut done: impl FnMut() -> bool) {
+    poll(|| {
+        if done() {
+            return Ok(());
+        }
+        let status = child.try_wait().unwrap();
+        assert!(status.is_none(), "the program ended too early");
+        Err("a running program".to_owned())
+    });
+}
+
+/// Waits for the end of a program; one that is stuck is killed.
+pub(crate) fn end_of(child: &mut Child) -> ExitStatus {
+    let start = Instant::now();
+    loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            return status;
+        }
+        if start.elapsed() > STUCK {
+            child.kill().unwrap();
+            panic!("the program does not end");
+        }
         std::thread::yield_now();
     }
 }

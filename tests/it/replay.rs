@@ -7,7 +7,9 @@ use std::process::{Command, Output, Stdio};
 use serde_json::{Value, json};
 
 use crate::json_schema::assert_schema;
-use crate::program::{collect, grasps, gripcast, json, script, stderr, succeed, wait_until};
+use crate::program::{
+    collect, end_of, grasps, gripcast, json, script, stderr, succeed, wait_until,
+};
 
 /// Heights of the gripper above the center of the box, m, and outcomes. The gel reaches 12.5 mm
 /// down and the box is 60 mm high, so at 45 mm the gripper closes above the box.
@@ -177,7 +179,7 @@ fn resumed_replay_gives_the_same_outcomes() {
         .arg(child.id().to_string())
         .status()
         .unwrap();
-    assert_eq!(child.wait().unwrap().code(), Some(75));
+    assert_eq!(end_of(&mut child).code(), Some(75));
     assert!(!stopped.join("report.json").exists());
     succeed(&mut replay(&dataset, &objects, &stopped, &more));
     let resumed = report(&stopped);

@@ -9,7 +9,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 use crate::json_schema::assert_schema;
-use crate::program::{gripcast, json, stderr, succeed, wait_until};
+use crate::program::{end_of, gripcast, json, stderr, succeed, wait_until};
 
 /// Flags of a small plan for the rigid engine.
 const SMALL_PLAN: [&str; 12] = [
@@ -109,7 +109,7 @@ fn interrupt(plan: &Path, signal: Signal) -> Option<i32> {
     wait_until(&mut child, || count_results(plan) > before);
     // Ignored: the run may have ended meanwhile.
     let _ = kill_process(Pid::from_child(&child), signal);
-    child.wait().unwrap().code()
+    end_of(&mut child).code()
 }
 
 #[test]
@@ -388,9 +388,18 @@ fn partial_run_renders_labelled_simulations_only() {
     let out = dir.path().join("dataset");
     let merged = merge(&folder, &out).arg("--partial").output().unwrap();
     assert_eq!(merged.status.code(), Some(3), "{}", stderr(&merged));
-    let split = &json(&merged)["parts"]["train"];
+    let report = json(&merged);
+    let split = &report["parts"]["train"];
     let simulations = split["stable"].as_u64().unwrap() + split["slip"].as_u64().unwrap();
     assert_eq!(simulations, labelled);
+    let sum_over_categories = |column: usize| {
+        let incomplete = report["incomplete"].as_object().unwrap().values();
+        incomplete
+            .map(|counts| counts[column].as_u64().unwrap())
+            .sum::<u64>()
+    };
+    let open = sum_over_categories(1) - sum_over_categories(0);
+    assert_eq!(open, total - done, "{report}");
 }
 
 #[test]

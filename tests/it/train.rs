@@ -17,7 +17,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 use crate::json_schema::assert_schema;
-use crate::program::{gripcast, json, stderr, succeed, wait_until};
+use crate::program::{end_of, gripcast, json, stderr, succeed, wait_until};
 
 /// Epochs of a run, enough to be met in the middle of it.
 const EPOCHS: &str = "4";
@@ -127,7 +127,7 @@ fn signalled(data: &Path, out: &Path, epochs: usize, signal: Signal) -> Option<i
         .unwrap();
     wait_until(&mut child, || metrics(out).len() >= epochs);
     kill_process(Pid::from_child(&child), signal).unwrap();
-    let code = child.wait().unwrap().code();
+    let code = end_of(&mut child).code();
     assert!(
         !RunFolder::at(out).model().is_file(),
         "it had ended already"
@@ -228,7 +228,7 @@ fn fine_tuned_model_is_compared_with_its_start_and_resumes_to_same_files() {
     let mut child = fine_tune(&broken).stdout(Stdio::null()).spawn().unwrap();
     wait_until(&mut child, || metrics(&broken).len() >= 2);
     kill_process(Pid::from_child(&child), Signal::KILL).unwrap();
-    child.wait().unwrap();
+    end_of(&mut child);
     succeed(&mut fine_tune(&broken));
     let [one, other] = [&whole, &broken].map(RunFolder::at);
     for file in [RunFolder::model, RunFolder::state, RunFolder::run] {

@@ -648,33 +648,43 @@ fn full_disk_keeps_saved_grasps_and_can_be_opened() {
     }
 }
 
-#[test]
-fn trash_on_another_disk_loses_nothing() {
+/// Crashes at each operation of a session with the trash on another disk.
+fn crash_with_trash_on_another_disk(fault: Fault) {
     let (operations, history) = whole_session(&FailingDisk::with_two_disks(0, None));
-    for fault in [
-        Fault::Kill,
-        Fault::PowerLoss { all: true },
-        Fault::PowerLoss { all: false },
-    ] {
-        for at in 0..operations {
-            let context = format!("two disks, {fault:?} at operation {at}");
-            let dir = tempfile::tempdir().unwrap();
-            let root = dir.path().join("d");
-            let disk = FailingDisk::with_two_disks(at, Some(fault));
-            let acknowledged = run_session(&disk, &root).len() - 1;
-            if let Fault::PowerLoss { all } = fault {
-                disk.lose_power(all);
-            }
-            let known = found(&FailingDisk::with_two_disks(0, None), &root, &context);
-            // A copy in the trash may remain beside the item that a crash left in its place.
-            assert_nothing_lost(&known, acknowledged, &history, true, &context);
-            let hidden = ["grasps", "trash"]
-                .iter()
-                .flat_map(|folder| fs::read_dir(root.join(folder)).unwrap())
-                .filter(|e| is_partial(&e.as_ref().unwrap().file_name().to_string_lossy()));
-            assert_eq!(hidden.count(), 0, "{context}");
+    for at in 0..operations {
+        let context = format!("two disks, {fault:?} at operation {at}");
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("d");
+        let disk = FailingDisk::with_two_disks(at, Some(fault));
+        let acknowledged = run_session(&disk, &root).len() - 1;
+        if let Fault::PowerLoss { all } = fault {
+            disk.lose_power(all);
         }
+        let known = found(&FailingDisk::with_two_disks(0, None), &root, &context);
+        // A copy in the trash may remain beside the item that a crash left in its place.
+        assert_nothing_lost(&known, acknowledged, &history, true, &context);
+        let hidden = ["grasps", "trash"]
+            .iter()
+            .flat_map(|folder| fs::read_dir(root.join(folder)).unwrap())
+            .filter(|e| is_partial(&e.as_ref().unwrap().file_name().to_string_lossy()));
+        assert_eq!(hidden.count(), 0, "{context}");
     }
+}
+
+// One test per fault: they run in parallel.
+#[test]
+fn trash_on_another_disk_survives_kills() {
+    crash_with_trash_on_another_disk(Fault::Kill);
+}
+
+#[test]
+fn trash_on_another_disk_survives_full_power_loss() {
+    crash_with_trash_on_another_disk(Fault::PowerLoss { all: true });
+}
+
+#[test]
+fn trash_on_another_disk_survives_partial_power_loss() {
+    crash_with_trash_on_another_disk(Fault::PowerLoss { all: false });
 }
 
 /// A dataset of version 1 with one grasp.

@@ -52,6 +52,9 @@ pub struct MergeReport {
     pub planned: usize,
     /// Simulations without a result yet.
     pub open: usize,
+    /// Categories with open simulations: how many have a result, and how many are planned.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub incomplete: BTreeMap<String, [usize; 2]>,
     /// Simulations that failed.
     pub failed: usize,
     /// Simulations without a label, by outcome.
@@ -163,6 +166,7 @@ pub fn merge(
         curation: settings.curation.clone(),
         planned: plan.simulations.len(),
         open: counts.open,
+        incomplete: counts.incomplete,
         failed: counts.failed,
         without_sample: counts.without_sample,
         left_out,
@@ -210,7 +214,12 @@ impl<'a> Selection<'a> {
         let mut counts = Counts::default();
         let mut usable = BTreeMap::new();
         for simulation in &plan.simulations {
-            match store.load(plan, &simulation.id)? {
+            let result = store.load(plan, &simulation.id)?;
+            let category = plan.object(simulation)?.category.clone();
+            let finished = counts.incomplete.entry(category).or_default();
+            finished[0] += usize::from(result.is_some());
+            finished[1] += 1;
+            match result {
                 None => counts.open += 1,
                 Some(result) if result.is_failed() => counts.failed += 1,
                 Some(result) if result.stable.is_none() => {
@@ -221,6 +230,9 @@ impl<'a> Selection<'a> {
                 }
             }
         }
+        counts
+            .incomplete
+            .retain(|_, [finished, planned]| finished < planned);
         if counts.open > 0 && !settings.allow_partial {
             return Err(unfinished(plan, counts.open));
         }
@@ -270,6 +282,7 @@ fn without_images(lacking: usize) -> Error {
 #[derive(Default)]
 struct Counts {
     open: usize,
+    incomplete: BTreeMap<String, [usize; 2]>,
     failed: usize,
     without_sample: BTreeMap<String, usize>,
 }

@@ -63,7 +63,7 @@ pub fn conformal_scores(
             available.words()
         );
         return Err(Error::input(what)
-            .at(samples.root().display())
+            .at(samples.location())
             .remedy("compute them on a dataset with all inputs of the model"));
     }
     let predictions = predict(model, inputs, samples, on_progress)?;
@@ -80,7 +80,7 @@ pub fn conformal_scores(
         Error::input(format!(
             "conformal scores need grasps with both outcomes, found {stable} stable and {slip} slip"
         ))
-        .at(samples.root().display())
+        .at(samples.location())
     })
 }
 

@@ -220,7 +220,7 @@ pub fn evaluate(
         format: "gripcast-eval".to_owned(),
         version: 2,
         software: concat!("gripcast ", env!("CARGO_PKG_VERSION")).to_owned(),
-        dataset: samples.root().display().to_string(),
+        dataset: samples.location().to_owned(),
         dataset_sha256: dataset_sha256.to_owned(),
         split: samples.split().to_owned(),
         objects: samples.objects().len(),
@@ -325,8 +325,7 @@ fn warnings(
         }
         if !is_same {
             let trained = trained_objects(model.contract());
-            let ours = samples.objects().into_iter();
-            let shared = ours.filter(|object| trained.contains(*object)).count();
+            let shared = samples.count_named(&trained);
             if shared > 0 {
                 warnings.push(format!(
                     "{file} was trained on another dataset with {shared} objects of the same name; \

@@ -8,7 +8,7 @@ fn evaluated(root: &std::path::Path, models: usize) -> (EvalReport, Samples) {
     let models: Vec<(String, Model)> = (0..models)
         .map(|i| (format!("model-{i}.onnx"), Model::baseline().unwrap()))
         .collect();
-    let sha256 = dataset_sha256(root).unwrap();
+    let sha256 = dataset_sha256(&[root.to_owned()]).unwrap();
     let report = evaluate(&models, &samples, None, &sha256, &|_, _| {}).unwrap();
     (report, samples)
 }

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::slice;
 
 use serde::{Deserialize, Serialize};
 
@@ -244,7 +245,7 @@ fn train_model(
     folder: &Path,
     on_progress: &(dyn Fn(ExperimentEvent) + Sync),
 ) -> Result<PathBuf> {
-    let data = settings.data(condition)?;
+    let data = &[settings.data(condition)?.to_owned()];
     let training = TrainSettings {
         modality: condition.modality(),
         seed,
@@ -271,7 +272,7 @@ fn test_model(model: &Path, folder: &Path, test: &TestSet) -> Result<ModelEvalua
     let cache = Root::new(folder)
         .top()
         .join_affixed("eval-", &test.name, ".json");
-    let sha256 = dataset_sha256(&test.data)?;
+    let sha256 = dataset_sha256(slice::from_ref(&test.data))?;
     let model_file = model.display().to_string();
     let loaded = Model::load(model)?;
     let all = loaded.contract().modality;
@@ -392,12 +393,18 @@ impl ExperimentSettings {
             }
         }
         let mut datasets = BTreeMap::new();
-        datasets.insert("fem".to_owned(), dataset_sha256(&self.fem)?);
+        datasets.insert(
+            "fem".to_owned(),
+            dataset_sha256(slice::from_ref(&self.fem))?,
+        );
         if let Some(rigid) = &self.rigid {
-            datasets.insert("rigid".to_owned(), dataset_sha256(rigid)?);
+            datasets.insert("rigid".to_owned(), dataset_sha256(slice::from_ref(rigid))?);
         }
         for test in &self.tests {
-            datasets.insert(test.name.to_owned(), dataset_sha256(&test.data)?);
+            datasets.insert(
+                test.name.to_owned(),
+                dataset_sha256(slice::from_ref(&test.data))?,
+            );
         }
         Ok(ExperimentReport {
             format: "gripcast-fig6".to_owned(),

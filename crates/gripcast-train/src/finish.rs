@@ -1,7 +1,7 @@
 //! Calibration of a run and export of its model.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::PathBuf;
 
 use super::comparison::Comparison;
 use super::conformal::add_conformal_scores;
@@ -46,7 +46,7 @@ pub struct Finished {
 }
 
 /// Fits temperature and threshold on the validation split and the OOD reference on the training
-/// split of the dataset `data`, and writes the run's `model.onnx`.
+/// split of the datasets `data`, and writes the run's `model.onnx`.
 ///
 /// # Errors
 /// `Busy`: another program trains the run. Errors of reading dataset and checkpoint and of writing
@@ -54,12 +54,12 @@ pub struct Finished {
 pub fn finish(
     folder: &RunFolder,
     file: &RunFile,
-    data: &Path,
+    data: &[PathBuf],
     name: &str,
     on_progress: &dyn Fn(usize),
 ) -> Result<Finished> {
     let _lock = folder.lock()?;
-    let validation = Samples::open(data, "validation")?;
+    let validation = Samples::open_all(data, "validation")?;
     let (network, best) = folder.best_network(&file.settings)?;
     let logits_of = |network: &Network| {
         let (settings, normalisation) = (&file.settings, file.normalisation());
@@ -82,7 +82,7 @@ pub fn finish(
     if used.modality == contract.modality {
         add_conformal_scores(&mut contract, &validation, &scored);
     }
-    let train = Samples::open(data, "train")?;
+    let train = Samples::open_all(data, "train")?;
     let lift_head = lift::fit(
         &train,
         &validation,
@@ -139,7 +139,7 @@ fn start_of(folder: &RunFolder, file: &RunFile) -> Result<Option<StartModel>> {
 fn missing_inputs(samples: &Samples) -> Error {
     let what = "the samples lack inputs that the model needs";
     Error::input(what)
-        .at(samples.root().display())
+        .at(samples.location())
         .remedy("fine-tune a model of fewer inputs")
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use super::augment::{Augmentation, InputWriter};
@@ -11,7 +11,7 @@ use super::batches::{Batches, colour_normalisation};
 use super::duplicates::duplicates;
 use super::extents::fit_extent_heads;
 use super::run_folder::{EpochMetrics, RunFile, RunFolder, VERSION, foreign_checkpoint, untrained};
-use super::samples::{Samples, dataset_sha256};
+use super::samples::{Samples, dataset_sha256, location};
 use super::settings::TrainSettings;
 use super::start::StartModel;
 use super::state::{self, Position};
@@ -104,7 +104,7 @@ pub struct Trained {
     pub warnings: Vec<String>,
 }
 
-/// Trains a classifier, or resumes an interrupted run. The encoders of camera images are those of
+/// Trains a classifier on the samples of one or more datasets, or resumes an interrupted run. The encoders of camera images are those of
 /// `cameras` and stay as they are, or are trained too.
 ///
 /// # Errors
@@ -114,7 +114,7 @@ pub struct Trained {
 /// images. `Busy`: another program trains in the folder.
 /// Errors of reading and writing.
 pub fn train(
-    data: &Path,
+    data: &[PathBuf],
     out: &Path,
     settings: &TrainSettings,
     cameras: Option<&StartModel>,
@@ -140,7 +140,7 @@ pub fn train(
 /// # Errors
 /// As [`train`]; `Input` also for a dataset with another crop profile than the model's.
 pub fn fine_tune(
-    data: &Path,
+    data: &[PathBuf],
     out: &Path,
     settings: &TrainSettings,
     start: &StartModel,
@@ -152,7 +152,7 @@ pub fn fine_tune(
 }
 
 fn run(
-    data: &Path,
+    data: &[PathBuf],
     out: &Path,
     settings: &TrainSettings,
     start: Option<&StartModel>,
@@ -161,7 +161,7 @@ fn run(
     settings.check()?;
     let [train, validation] = open_splits(data)?;
     // An invalid profile would fail the export after hours of training.
-    CropProfile::by_name(train.crop_profile()).map_err(|e| e.at(data.display()))?;
+    CropProfile::by_name(train.crop_profile()).map_err(|e| e.at(location(data)))?;
     train.check_disjoint(&validation)?;
     if settings.fine_tuning.is_none() {
         check_inputs(settings.modality, &train)?;
@@ -206,34 +206,37 @@ fn run(
     let folder = RunFolder::at(out);
     let _lock = folder.lock()?;
     let file = open_or_create(&folder, data, settings, start, &train)?;
-    let test = Samples::open(data, "test").ok();
+    let test = Samples::open_all(data, "test").ok();
     let splits: Vec<&Samples> = [&train, &validation].into_iter().chain(&test).collect();
     warnings.extend(duplicates(&splits)?);
     Training::new(&folder, &file, start, &train, &validation)?.run(warnings, on_progress)
 }
 
-/// Opens both splits of a dataset.
-fn open_splits(data: &Path) -> Result<[Samples; 2]> {
-    let set = ShardSet::open(data)?;
-    let splits: Vec<&str> = set.splits().collect();
+/// Opens both splits of the datasets.
+fn open_splits(data: &[PathBuf]) -> Result<[Samples; 2]> {
+    let mut splits = BTreeSet::new();
+    for root in data {
+        splits.extend(ShardSet::open(root)?.splits().map(str::to_owned));
+    }
     if let Some(absent) = [TRAIN, VALIDATION]
         .iter()
-        .find(|name| !splits.contains(name))
+        .find(|name| !splits.contains(**name))
     {
+        let splits: Vec<String> = splits.into_iter().collect();
         let what = format!(
             "no split `{absent}`: training needs the splits `{TRAIN}` and `{VALIDATION}` with \
              different objects, found {}",
             splits.join(", ")
         );
-        return Err(Error::usage(what).at(data.display()).remedy(
+        return Err(Error::usage(what).at(location(data)).remedy(
             "split own grasps, of three objects or more, and export them again: `gripcast dataset \
              split DATASET --name s`, `gripcast dataset export DATASET --to training --split s \
              --out SHARDS`",
         ));
     }
     Ok([
-        Samples::open(data, TRAIN)?,
-        Samples::open(data, VALIDATION)?,
+        Samples::open_all(data, TRAIN)?,
+        Samples::open_all(data, VALIDATION)?,
     ])
 }
 
@@ -246,12 +249,10 @@ fn check_inputs(modality: Modality, samples: &Samples) -> Result<()> {
         "cannot train on {}: the dataset has no depth images",
         modality.words()
     );
-    Err(Error::input(what)
-        .at(samples.root().display())
-        .remedy(format!(
-            "train with `--modality {}`, or render or record depth",
-            found.name().to_ascii_lowercase()
-        )))
+    Err(Error::input(what).at(samples.location()).remedy(format!(
+        "train with `--modality {}`, or render or record depth",
+        found.name().to_ascii_lowercase()
+    )))
 }
 
 fn check_labels(samples: &Samples) -> Result<()> {
@@ -264,14 +265,14 @@ fn check_labels(samples: &Samples) -> Result<()> {
         samples.split()
     );
     Err(Error::input(what)
-        .at(samples.root().display())
+        .at(samples.location())
         .remedy("use a dataset with more grasps of both labels, or split it with another `--seed`"))
 }
 
 /// Opens the run in the folder, which must have the same settings, or creates one.
 fn open_or_create(
     folder: &RunFolder,
-    data: &Path,
+    data: &[PathBuf],
     settings: &TrainSettings,
     start: Option<&StartModel>,
     train: &Samples,
@@ -655,7 +656,7 @@ impl<'a> Training<'a> {
                 modality.words()
             );
             return Err(Error::input(what)
-                .at(self.validation.root().display())
+                .at(self.validation.location())
                 .remedy("train with the `--modality` that all of its samples have"));
         }
         Ok((Scores::new(logits.best()), logits.geometry_error_m))

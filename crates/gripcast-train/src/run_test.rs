@@ -1,6 +1,8 @@
 use gripcast_base::error::ErrorKind;
 use std::panic::AssertUnwindSafe;
 
+use std::slice::from_ref;
+
 use super::*;
 use crate::augment::{Augmentation, SampleImages};
 use crate::sample_dataset::{row, write_dataset, write_split};
@@ -61,7 +63,7 @@ fn exported_model_matches_network() {
             ..settings(modality)
         };
         let out = out.join(modality.name());
-        let trained = train(&data, &out, &settings, None, &|_| {}).unwrap();
+        let trained = train(from_ref(&data), &out, &settings, None, &|_| {}).unwrap();
         // One epoch of the extents; without touch one to fit the heads that read them.
         let epochs = [(Modality::Vtd, 7), (Modality::T, 6), (Modality::V, 2)];
         let expected = epochs
@@ -76,7 +78,7 @@ fn exported_model_matches_network() {
         let run = RunFolder::at(&out);
         let file = run.read().unwrap().unwrap();
         let validation = Samples::open(&data, "validation").unwrap();
-        let finished = finish(&run, &file, &data, "tiny", &|_| {}).unwrap();
+        let finished = finish(&run, &file, from_ref(&data), "tiny", &|_| {}).unwrap();
         assert_eq!(fs::read(run.model().shown()).unwrap(), finished.onnx);
         let model = Model::from_bytes(&finished.onnx).unwrap();
         assert_eq!(model.contract().modality, modality);
@@ -134,17 +136,17 @@ fn killed_run_resumes_to_same_bytes() {
     let data = folder.path().join("data");
     write_dataset(&data, 24);
     let [whole, broken] = ["whole", "broken"].map(|name| folder.path().join(name));
-    train(&data, &whole, settings, None, &|_| {}).unwrap();
+    train(from_ref(&data), &whole, settings, None, &|_| {}).unwrap();
     for last in [1_u64, 8, 14] {
         let killed = catch_panic::catch_panic(AssertUnwindSafe(|| {
-            train(&data, &broken, settings, None, &|event| {
+            train(from_ref(&data), &broken, settings, None, &|event| {
                 let is_last = matches!(event, TrainEvent::Step { steps, .. } if steps[0] == last);
                 assert!(!is_last, "killed");
             })
         }));
         assert!(killed.is_err(), "step {last}");
     }
-    train(&data, &broken, settings, None, &|_| {}).unwrap();
+    train(from_ref(&data), &broken, settings, None, &|_| {}).unwrap();
     let [whole, broken] = [whole, broken].map(RunFolder::at);
     assert_eq!(without_times(&whole), without_times(&broken));
     let network = |folder: &RunFolder| folder.best_network(settings).unwrap().0.parameters;
@@ -163,7 +165,14 @@ fn run_resumes_within_epoch() {
         let train = Samples::open(&data, TRAIN).unwrap();
         let out = folder.path().join("run");
         fs::create_dir_all(&out).unwrap();
-        open_or_create(&RunFolder::at(&out), &data, &settings, None, &train).unwrap()
+        open_or_create(
+            &RunFolder::at(&out),
+            from_ref(&data),
+            &settings,
+            None,
+            &train,
+        )
+        .unwrap()
     };
     let [train, validation] = [TRAIN, VALIDATION].map(|split| Samples::open(&data, split).unwrap());
     let run = RunFolder::at(folder.path().join("run"));
@@ -198,19 +207,19 @@ fn resuming_with_other_settings_or_dataset_is_refused() {
         epochs: 1,
         ..settings(Modality::T)
     };
-    train(&data, &out, &one, None, &|_| {}).unwrap();
+    train(from_ref(&data), &out, &one, None, &|_| {}).unwrap();
     let other = TrainSettings {
         dropout: 0.5,
         ..one.clone()
     };
-    let error = train(&data, &out, &other, None, &|_| {}).unwrap_err();
+    let error = train(from_ref(&data), &out, &other, None, &|_| {}).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Usage);
     assert!(
         error.to_string().contains("dropout 0.2, not 0.5"),
         "{error}"
     );
     write_dataset(&data, 12);
-    let error = train(&data, &out, &one, None, &|_| {}).unwrap_err();
+    let error = train(from_ref(&data), &out, &one, None, &|_| {}).unwrap_err();
     assert!(error.to_string().contains("another dataset"), "{error}");
 }
 
@@ -224,12 +233,12 @@ fn runs_of_other_versions_are_refused() {
         epochs: 1,
         ..settings(Modality::Vt)
     };
-    train(&data, &out, &settings, None, &|_| {}).unwrap();
+    train(from_ref(&data), &out, &settings, None, &|_| {}).unwrap();
     let run = RunFolder::at(&out);
     let mut older = serde_json::to_value(run.read().unwrap().unwrap()).unwrap();
     older["version"] = 1.into();
     fs::write(run.run().shown(), older.to_string()).unwrap();
-    let error = train(&data, &out, &settings, None, &|_| {}).unwrap_err();
+    let error = train(from_ref(&data), &out, &settings, None, &|_| {}).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Usage);
     assert!(error.to_string().contains("found version 1"), "{error}");
 }
@@ -243,7 +252,7 @@ fn unusable_datasets_are_refused() {
         write_split(&data, "train", rows);
         write_split(&data, "validation", (0..4).map(|n| row(validation, n)));
         let out = folder.path().join(format!("{name}-run"));
-        let error = train(&data, &out, &settings, None, &|_| {}).unwrap_err();
+        let error = train(from_ref(&data), &out, &settings, None, &|_| {}).unwrap_err();
         assert!(!out.exists(), "{name}");
         error.to_string()
     };
@@ -276,7 +285,14 @@ fn image_of_wrong_size_is_named() {
         (0..4).map(|n| row("validation", n)),
     );
     let out = folder.path().join("run");
-    let error = train(folder.path(), &out, &settings(Modality::T), None, &|_| {}).unwrap_err();
+    let error = train(
+        &[folder.path().to_owned()],
+        &out,
+        &settings(Modality::T),
+        None,
+        &|_| {},
+    )
+    .unwrap_err();
     let text = error.to_string();
     assert!(
         text.contains("train-0005") && text.contains("160×120"),
@@ -298,7 +314,7 @@ fn nan_loss_ends_run_and_keeps_best_checkpoint() {
     let run = RunFolder::at(&out);
     // The first epoch ends; then a parameter is spoilt, as an overflow would.
     let killed = catch_panic::catch_panic(AssertUnwindSafe(|| {
-        train(&data, &out, &settings, None, &|event| {
+        train(from_ref(&data), &out, &settings, None, &|event| {
             assert!(!matches!(event, TrainEvent::Epoch(_)), "killed");
         })
     }));
@@ -308,7 +324,7 @@ fn nan_loss_ends_run_and_keeps_best_checkpoint() {
     let arrays: Vec<&[f32]> = arrays.iter().map(Vec::as_slice).collect();
     state::save(&run.state(), &position, &arrays).unwrap();
     let best = fs::read(run.best().shown()).unwrap();
-    let error = train(&data, &out, &settings, None, &|_| {}).unwrap_err();
+    let error = train(from_ref(&data), &out, &settings, None, &|_| {}).unwrap_err();
     let text = error.to_string();
     assert!(text.contains("NaN or infinite in epoch 2"), "{text}");
     assert!(text.contains("of epoch 1, is kept"), "{text}");
@@ -326,13 +342,13 @@ fn batch_size_is_limited_to_the_training_samples() {
         ..settings(Modality::T)
     };
     let out = folder.path().join("run");
-    let trained = train(&data, &out, &settings, None, &|_| {}).unwrap();
+    let trained = train(from_ref(&data), &out, &settings, None, &|_| {}).unwrap();
     assert_eq!(trained.warnings.len(), 1, "{:?}", trained.warnings);
     assert!(trained.warnings[0].ends_with("the batch size is 6 instead of 16"));
     let file = RunFolder::at(&out).read().unwrap().unwrap();
     assert_eq!(file.settings.batch_size, 6);
     // The same command goes on with the run.
-    let again = train(&data, &out, &settings, None, &|_| {}).unwrap();
+    let again = train(from_ref(&data), &out, &settings, None, &|_| {}).unwrap();
     assert_eq!(again, trained);
 }
 
@@ -347,9 +363,9 @@ fn second_trainer_in_a_folder_is_refused_with_the_first() {
     };
     let out = folder.path().join("run");
     let second = std::sync::Mutex::new(None);
-    train(&data, &out, &settings, None, &|event| {
+    train(from_ref(&data), &out, &settings, None, &|event| {
         if matches!(event, TrainEvent::Started(_)) {
-            *second.lock().unwrap() = Some(train(&data, &out, &settings, None, &|_| {}));
+            *second.lock().unwrap() = Some(train(from_ref(&data), &out, &settings, None, &|_| {}));
         }
     })
     .unwrap();
@@ -360,10 +376,10 @@ fn second_trainer_in_a_folder_is_refused_with_the_first() {
     let run = RunFolder::at(&out);
     let held = run.lock().unwrap();
     let file = run.read().unwrap().unwrap();
-    let error = finish(&run, &file, &data, "model", &|_| {}).unwrap_err();
+    let error = finish(&run, &file, from_ref(&data), "model", &|_| {}).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Busy);
     drop(held);
-    assert!(finish(&run, &file, &data, "model", &|_| {}).is_ok());
+    assert!(finish(&run, &file, from_ref(&data), "model", &|_| {}).is_ok());
 }
 
 #[test]
@@ -373,10 +389,12 @@ fn samples_without_depth_are_no_predictions_from_fewer_inputs() {
     write_dataset(&data, 16);
     let settings = settings(Modality::Vtd);
     let out = folder.path().join("run");
-    train(&data, &out, &settings, None, &|_| {}).unwrap();
+    train(from_ref(&data), &out, &settings, None, &|_| {}).unwrap();
     let run = RunFolder::at(&out);
     let file = run.read().unwrap().unwrap();
-    let onnx = finish(&run, &file, &data, "tiny", &|_| {}).unwrap().onnx;
+    let onnx = finish(&run, &file, from_ref(&data), "tiny", &|_| {})
+        .unwrap()
+        .onnx;
     let models = [("tiny.onnx".to_owned(), Model::from_bytes(&onnx).unwrap())];
 
     // Only the last of a split lacks depth.
@@ -394,7 +412,7 @@ fn samples_without_depth_are_no_predictions_from_fewer_inputs() {
     // Nor are predictions exported that nothing calibrates.
     without("validation");
     let error = train(
-        &data,
+        from_ref(&data),
         &folder.path().join("other"),
         &settings,
         None,
@@ -412,10 +430,10 @@ fn cameras_of_a_model_are_kept() {
     write_dataset(&data, 24);
     let source = |modality: Modality| {
         let out = folder.path().join(modality.name());
-        train(&data, &out, &settings(modality), None, &|_| {}).unwrap();
+        train(from_ref(&data), &out, &settings(modality), None, &|_| {}).unwrap();
         let run = RunFolder::at(&out);
         let file = run.read().unwrap().unwrap();
-        finish(&run, &file, &data, "source", &|_| {}).unwrap();
+        finish(&run, &file, from_ref(&data), "source", &|_| {}).unwrap();
         StartModel::by_name(&out.display().to_string()).unwrap()
     };
     let [cameras, touch] = [Modality::Vd, Modality::T].map(source);
@@ -424,7 +442,7 @@ fn cameras_of_a_model_are_kept() {
         ..settings(Modality::Vtd)
     };
     let [whole, broken, refused] = ["whole", "broken", "refused"].map(|n| folder.path().join(n));
-    let trained = train(&data, &whole, &all, Some(&cameras), &|_| {}).unwrap();
+    let trained = train(from_ref(&data), &whole, &all, Some(&cameras), &|_| {}).unwrap();
     // None of them learns the geometry.
     assert_eq!(trained.epochs, all.epochs);
     let run = RunFolder::at(&whole);
@@ -446,17 +464,17 @@ fn cameras_of_a_model_are_kept() {
         );
     }
     let resumed = AssertUnwindSafe(|| {
-        train(&data, &broken, &all, Some(&cameras), &|event| {
+        train(from_ref(&data), &broken, &all, Some(&cameras), &|event| {
             assert!(!matches!(event, TrainEvent::Step { steps: [8, _], .. }));
         })
     });
     assert!(catch_panic::catch_panic(resumed).is_err());
-    train(&data, &broken, &all, Some(&cameras), &|_| {}).unwrap();
+    train(from_ref(&data), &broken, &all, Some(&cameras), &|_| {}).unwrap();
     let again = RunFolder::at(&broken).best_network(&file.settings).unwrap();
     assert!(again.0.parameters == network.parameters);
-    let error = train(&data, &broken, &all, None, &|_| {}).unwrap_err();
+    let error = train(from_ref(&data), &broken, &all, None, &|_| {}).unwrap_err();
     assert!(error.to_string().contains("cameras"), "{error}");
-    let error = train(&data, &refused, &all, Some(&touch), &|_| {}).unwrap_err();
+    let error = train(from_ref(&data), &refused, &all, Some(&touch), &|_| {}).unwrap_err();
     assert!(
         error.to_string().contains("no encoder of colour images"),
         "{error}"

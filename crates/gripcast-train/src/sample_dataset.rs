@@ -98,10 +98,20 @@ fn depth(half_m: f64, number: u64) -> Vec<u8> {
 
 /// Writes a split as one shard.
 pub(super) fn write_split(root: &Path, split: &str, rows: impl IntoIterator<Item = ShardRow>) {
+    write_split_with_info(root, split, "{}", rows);
+}
+
+/// Writes a split as one shard with this description.
+pub(super) fn write_split_with_info(
+    root: &Path,
+    split: &str,
+    info: &str,
+    rows: impl IntoIterator<Item = ShardRow>,
+) {
     std::fs::create_dir_all(root).unwrap();
     let place = shard_path(&Root::new(root), split, 0, 1).unwrap();
     place.parent().create_dir_all().unwrap();
-    let mut writer = ShardWriter::create(&place, "{}").unwrap();
+    let mut writer = ShardWriter::create(&place, info).unwrap();
     for row in rows {
         writer.push(row).unwrap();
     }

@@ -62,10 +62,10 @@ struct Group {
     bytes: usize,
 }
 
-/// The samples of one split of a dataset. Images are read on demand.
+/// The samples of one split of a dataset, or of several datasets. Images are read on demand.
 #[derive(Clone, Debug)]
 pub struct Samples {
-    root: PathBuf,
+    location: String,
     split: String,
     facts: Vec<SampleFacts>,
     shards: Vec<ShardReader>,
@@ -80,9 +80,18 @@ impl Samples {
     /// `Input`: no samples, or tactile images with different crop profiles. Those of
     /// [`ShardSet::open`] and [`ShardReader::open`].
     pub fn open(root: &Path, split: &str) -> Result<Self> {
-        let set = ShardSet::open(root)?;
+        Self::open_all(&[root.to_owned()], split)
+    }
+
+    /// Opens a split of several datasets as one; some may lack it. Plans number their objects, so
+    /// objects, grasps and samples of a plan are named `NAME@PLAN` then, with 8 digits of its hash.
+    /// Elsewhere equal names are the same object.
+    ///
+    /// # Errors
+    /// Those of [`Self::open`]; `Input`: a sample is in two of the datasets.
+    pub fn open_all(roots: &[PathBuf], split: &str) -> Result<Self> {
         let mut samples = Self {
-            root: root.to_owned(),
+            location: location(roots),
             split: split.to_owned(),
             facts: Vec::new(),
             shards: Vec::new(),
@@ -90,19 +99,48 @@ impl Samples {
             crop_profile: String::new(),
         };
         let mut crops = BTreeSet::new();
-        for file in set.shards(split)? {
+        let mut missing = None;
+        for root in roots {
+            match ShardSet::open(root)?.shards(split) {
+                Ok(files) => samples.add(files, roots.len() > 1, &mut crops)?,
+                Err(error) => missing = Some(error),
+            }
+        }
+        if let (true, Some(error)) = (samples.shards.is_empty(), missing) {
+            return Err(error);
+        }
+        samples
+            .check(&crops)
+            .map_err(|e| e.at(samples.location.clone()))?;
+        samples.crop_profile = crops.into_iter().next().unwrap_or_default();
+        Ok(samples)
+    }
+
+    fn add(
+        &mut self,
+        files: &[BeneathPath],
+        is_one_of_several: bool,
+        crops: &mut BTreeSet<String>,
+    ) -> Result<()> {
+        for file in files {
             let reader = ShardReader::open_beneath(file)?;
+            let plan = reader.info().filter(|_| is_one_of_several).and_then(plan);
             let size = file.metadata().map_or(0, |metadata| metadata.bytes) as usize;
-            let shard = samples.shards.len();
-            let mut first = samples.facts.len();
+            let shard = self.shards.len();
+            let mut first = self.facts.len();
             for facts in reader.facts() {
-                let facts = facts?;
+                let mut facts = facts?;
                 crops.insert(facts.crop_profile.clone());
-                samples.facts.push(facts.into());
+                if let Some(plan) = &plan {
+                    for name in [&mut facts.id, &mut facts.simulation, &mut facts.object] {
+                        *name = format!("{name}@{plan}");
+                    }
+                }
+                self.facts.push(facts.into());
             }
             for group in 0..reader.num_row_groups() {
                 let rows = reader.group_rows(group);
-                samples.groups.push(Group {
+                self.groups.push(Group {
                     shard,
                     group,
                     first,
@@ -110,11 +148,9 @@ impl Samples {
                 });
                 first += rows;
             }
-            samples.shards.push(reader);
+            self.shards.push(reader);
         }
-        samples.check(&crops).map_err(|e| e.at(root.display()))?;
-        samples.crop_profile = crops.into_iter().next().unwrap_or_default();
-        Ok(samples)
+        Ok(())
     }
 
     fn check(&self, crops: &BTreeSet<String>) -> Result<()> {
@@ -131,12 +167,20 @@ impl Samples {
             ))
             .remedy("build the dataset from images with one crop profile"));
         }
-        Ok(())
+        let mut ids = BTreeSet::new();
+        match self.facts.iter().find(|facts| !ids.insert(&facts.id)) {
+            Some(facts) => Err(Error::input(format!(
+                "the sample `{}` occurs twice in `{}`",
+                facts.id, self.split
+            ))
+            .remedy("give each dataset once; `gripcast dataset verify` checks one of them")),
+            None => Ok(()),
+        }
     }
 
-    /// Folder of the dataset.
-    pub fn root(&self) -> &Path {
-        &self.root
+    /// Folders of the datasets, for messages.
+    pub fn location(&self) -> &str {
+        &self.location
     }
 
     /// Name of the split.
@@ -179,6 +223,12 @@ impl Samples {
         self.facts.iter().map(|facts| &*facts.object).collect()
     }
 
+    /// Counts the objects with one of these names, as far as names tell.
+    pub fn count_named(&self, names: &BTreeSet<String>) -> usize {
+        let is_named = |object: &&str| names.iter().any(|name| is_same_object(name, object));
+        self.objects().into_iter().filter(is_named).count()
+    }
+
     /// Checks that another split shares no object with this one (no leakage).
     ///
     /// # Errors
@@ -197,7 +247,7 @@ impl Samples {
             other.split,
             shared[..shared.len().min(3)].join(", "),
         ))
-        .at(self.root.display())
+        .at(self.location())
         .remedy("split the dataset by object, as `synth merge` does"))
     }
 
@@ -313,18 +363,47 @@ impl<'a> SampleReader<'a> {
     }
 }
 
-/// Computes the SHA-256 over names and contents of a dataset's files, lower-case hex.
+/// Lists folders for a message.
+pub(super) fn location(roots: &[PathBuf]) -> String {
+    let roots: Vec<String> = roots
+        .iter()
+        .map(|root| root.display().to_string())
+        .collect();
+    roots.join(", ")
+}
+
+/// Returns 8 digits of the hash of the plan that a shard was made from.
+fn plan(info: &str) -> Option<String> {
+    let info: serde_json::Value = serde_json::from_str(info).ok()?;
+    info["plan_sha256"].as_str()?.get(..8).map(str::to_owned)
+}
+
+/// Returns whether two names may be of the same object: of different plans they are not, without a
+/// plan only the names are known.
+fn is_same_object(a: &str, b: &str) -> bool {
+    let parts = |name| match str::rsplit_once(name, '@') {
+        Some((name, plan)) if plan.len() == 8 => (name, Some(plan)),
+        _ => (name, None),
+    };
+    let ((a, plan_a), (b, plan_b)) = (parts(a), parts(b));
+    a == b && (plan_a == plan_b || plan_a.is_none() || plan_b.is_none())
+}
+
+/// Computes the SHA-256 over names and contents of the files of one or more datasets, lower-case
+/// hex.
 ///
 /// # Errors
 /// Errors of reading the files.
-pub fn dataset_sha256(root: &Path) -> Result<String> {
-    let set = ShardSet::open(root)?;
+pub fn dataset_sha256(roots: &[PathBuf]) -> Result<String> {
     let mut all = Sha256::new();
-    for split in set.splits() {
-        for file in set.shards(split)? {
-            let hash = file_sha256(file)
-                .map_err(|e| Error::io("cannot read the shard", e).at(file.display()))?;
-            all.update(format!("{hash}  {}\n", file.name()));
+    for root in roots {
+        let set = ShardSet::open(root)?;
+        for split in set.splits() {
+            for file in set.shards(split)? {
+                let hash = file_sha256(file)
+                    .map_err(|e| Error::io("cannot read the shard", e).at(file.display()))?;
+                all.update(format!("{hash}  {}\n", file.name()));
+            }
         }
     }
     Ok(hex(&all.finalize()))
@@ -341,5 +420,63 @@ fn file_sha256(file: &BeneathPath) -> io::Result<String> {
         hash.update(bytes);
         let count = bytes.len();
         reader.consume(count);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sample_dataset::{row, write_split_with_info};
+
+    #[test]
+    fn objects_of_two_plans_are_different_ones() {
+        let dir = tempfile::tempdir().unwrap();
+        let roots = ["a", "b"].map(|name| dir.path().join(name));
+        for (root, digit) in roots.iter().zip(["1", "2"]) {
+            let info = format!("{{\"plan_sha256\":\"{}\"}}", digit.repeat(64));
+            write_split_with_info(root, "train", &info, (0..6).map(|n| row("train", n)));
+        }
+        let rows = (0..4).map(|n| row("train", n));
+        write_split_with_info(&roots[1], "validation", "{}", rows);
+        let one = Samples::open(&roots[0], "train").unwrap();
+        let both = Samples::open_all(&roots, "train").unwrap();
+        assert_eq!(both.facts().len(), 12);
+        assert_eq!(both.objects().len(), 2 * one.objects().len());
+        assert!(
+            both.objects()
+                .iter()
+                .all(|name| !one.objects().contains(name))
+        );
+        let rows = SampleReader::new(&both, 0).rows(&[0, 11]).unwrap();
+        for ((rows, row), sample) in rows.iter().zip([0, 11]) {
+            let id = &rows[*row].facts.id;
+            assert!(both.facts()[sample].id.starts_with(&format!("{id}@")));
+        }
+        // Only one of them has it; its objects have no plan and may be those of training.
+        let validation = Samples::open_all(&roots, "validation").unwrap();
+        assert_eq!(validation.facts().len(), 4);
+        let trained = both.objects().into_iter().map(str::to_owned).collect();
+        assert_eq!(validation.count_named(&trained), validation.objects().len());
+
+        let [a, b] = &roots;
+        let again = Samples::open_all(&[a.clone(), a.clone()], "train").unwrap_err();
+        assert!(again.what().contains("occurs twice"), "{again}");
+        let absent = Samples::open_all(&roots, "test").unwrap_err();
+        assert!(absent.to_string().contains("test"), "{absent}");
+        let hashes = [vec![a.clone()], vec![b.clone()], roots.to_vec()];
+        let hashes: BTreeSet<_> = hashes
+            .iter()
+            .map(|all| dataset_sha256(all).unwrap())
+            .collect();
+        assert_eq!(hashes.len(), 3);
+    }
+
+    #[test]
+    fn names_of_two_plans_are_two_objects() {
+        assert!(is_same_object("mug", "mug"));
+        assert!(is_same_object("mug", "mug@12345678"));
+        assert!(!is_same_object("mug@12345678", "mug@12345679"));
+        assert!(!is_same_object("mug", "bowl@12345678"));
+        assert!(!is_same_object("mug@home", "mug"));
     }
 }

@@ -155,14 +155,13 @@ impl StartModel {
     pub(super) fn check_crop_profile(&self, samples: &Samples) -> Result<()> {
         self.contract
             .check_crop_profile(samples.crop_profile())
-            .map_err(|e| e.at(samples.root().display()))
+            .map_err(|e| e.at(samples.location()))
     }
 
     /// Returns a warning if it was trained on objects of these samples.
     pub(super) fn seen(&self, samples: &Samples) -> Option<String> {
         let trained = self.objects();
-        let ours = samples.objects().into_iter();
-        let shared = ours.filter(|object| trained.contains(*object)).count();
+        let shared = samples.count_named(&trained);
         (shared > 0).then(|| {
             format!(
                 "`{}` was trained on {shared} objects of the split `{}`, by name; if they are the \

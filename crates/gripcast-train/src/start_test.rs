@@ -2,6 +2,8 @@ use std::panic::AssertUnwindSafe;
 use std::path::PathBuf;
 use std::{fs, iter};
 
+use std::slice::from_ref;
+
 use super::*;
 use crate::run::tests::settings;
 use crate::sample_dataset::{graded_row, write_dataset, write_split};
@@ -67,10 +69,10 @@ impl Case {
         let dir = tempfile::tempdir().unwrap();
         let [data, start, own] = ["data", "start", "own"].map(|name| dir.path().join(name));
         write_dataset(&data, 24);
-        train(&data, &start, &settings(modality), None, &|_| {}).unwrap();
+        train(from_ref(&data), &start, &settings(modality), None, &|_| {}).unwrap();
         let run = RunFolder::at(&start);
         let file = run.read().unwrap().unwrap();
-        finish(&run, &file, &data, "first", &|_| {}).unwrap();
+        finish(&run, &file, from_ref(&data), "first", &|_| {}).unwrap();
         write_own(&own, 12, 8, 3);
         Self { dir, start, own }
     }
@@ -83,7 +85,7 @@ impl Case {
         let out = self.dir.path().join(name);
         let start = self.model();
         fine_tune(
-            &self.own,
+            from_ref(&self.own),
             &out,
             &own_settings(),
             &start,
@@ -97,7 +99,7 @@ impl Case {
     fn finished(&self, out: PathBuf) -> (RunFolder, Finished) {
         let run = RunFolder::at(out);
         let file = run.read().unwrap().unwrap();
-        let finished = finish(&run, &file, &self.own, "second", &|_| {}).unwrap();
+        let finished = finish(&run, &file, from_ref(&self.own), "second", &|_| {}).unwrap();
         (run, finished)
     }
 }
@@ -171,14 +173,30 @@ fn killed_fine_tuning_resumes_to_same_bytes() {
     // In the epochs of the head, at the change, and in those of all parameters.
     for last in [1_u64, 6, 7, 11] {
         let killed = catch_panic(AssertUnwindSafe(|| {
-            fine_tune(&case.own, &broken, &own_settings(), &start, 2, &|event| {
-                let is_last = matches!(event, TrainEvent::Step { steps, .. } if steps[0] == last);
-                assert!(!is_last, "killed");
-            })
+            fine_tune(
+                from_ref(&case.own),
+                &broken,
+                &own_settings(),
+                &start,
+                2,
+                &|event| {
+                    let is_last =
+                        matches!(event, TrainEvent::Step { steps, .. } if steps[0] == last);
+                    assert!(!is_last, "killed");
+                },
+            )
         }));
         assert!(killed.is_err(), "step {last}");
     }
-    fine_tune(&case.own, &broken, &own_settings(), &start, 2, &|_| {}).unwrap();
+    fine_tune(
+        from_ref(&case.own),
+        &broken,
+        &own_settings(),
+        &start,
+        2,
+        &|_| {},
+    )
+    .unwrap();
     let (broken, again) = case.finished(broken);
     assert!(again == finished);
     let state = |run: &RunFolder| fs::read(run.state().shown()).unwrap();
@@ -203,10 +221,18 @@ fn resuming_with_another_start_model_is_refused() {
     case.tuned("tuned", 0);
     let tuned = case.dir.path().join("tuned");
     let other = StartModel::by_name(&tuned.display().to_string()).unwrap();
-    let error = fine_tune(&case.own, &tuned, &own_settings(), &other, 0, &|_| {}).unwrap_err();
+    let error = fine_tune(
+        from_ref(&case.own),
+        &tuned,
+        &own_settings(),
+        &other,
+        0,
+        &|_| {},
+    )
+    .unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Usage);
     assert!(error.what().contains("start_sha256"), "{error}");
-    let error = train(&case.own, &tuned, &own_settings(), None, &|_| {}).unwrap_err();
+    let error = train(from_ref(&case.own), &tuned, &own_settings(), None, &|_| {}).unwrap_err();
     assert!(error.what().contains("fine_tuning"), "{error}");
 }
 
@@ -242,7 +268,15 @@ fn own_grasps_with_another_crop_are_refused() {
         write_split(&case.own, split, rows(split));
     }
     let out = case.dir.path().join("tuned");
-    let error = fine_tune(&case.own, &out, &own_settings(), &case.model(), 0, &|_| {}).unwrap_err();
+    let error = fine_tune(
+        from_ref(&case.own),
+        &out,
+        &own_settings(),
+        &case.model(),
+        0,
+        &|_| {},
+    )
+    .unwrap_err();
     assert!(error.what().contains("crop profile"), "{error}");
     assert!(!out.exists());
 }
@@ -264,7 +298,15 @@ fn dataset_without_splits_is_explained_with_the_command_that_makes_them() {
     let data = case.dir.path().join("unsplit");
     write_split(&data, "test", iter::once(own_row("test", 0, 1)));
     let out = case.dir.path().join("tuned");
-    let error = fine_tune(&data, &out, &own_settings(), &case.model(), 0, &|_| {}).unwrap_err();
+    let error = fine_tune(
+        from_ref(&data),
+        &out,
+        &own_settings(),
+        &case.model(),
+        0,
+        &|_| {},
+    )
+    .unwrap_err();
     assert!(error.what().contains("no split `train`"), "{error}");
     assert!(
         error.to_string().contains("gripcast dataset split"),
