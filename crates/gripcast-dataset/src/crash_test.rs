@@ -291,6 +291,12 @@ impl Disk for FailingDisk {
 /// Object, scene and outcome of a grasp, and its number of lift frames.
 type Labelled = (ObjectName, Label, Outcome, usize);
 
+/// A folder in memory where there is one: crashes are simulated, and waiting for a disk at each
+/// operation takes five times as long.
+fn memory_folder() -> tempfile::TempDir {
+    tempfile::tempdir_in("/dev/shm").unwrap_or_else(|_| tempfile::tempdir().unwrap())
+}
+
 fn labelled(record: GraspRecord) -> Labelled {
     let lift = record.lift.iter().flat_map(|lift| lift.cameras.values());
     let frames = lift.map(|camera| camera.frames.len()).sum();
@@ -514,7 +520,7 @@ fn found(disk: &FailingDisk, root: &Path, context: &str) -> Acknowledged {
 }
 
 fn whole_session(disk: &FailingDisk) -> (usize, Vec<Acknowledged>) {
-    let dir = tempfile::tempdir().unwrap();
+    let dir = memory_folder();
     let history = run_session(disk, &dir.path().join("d"));
     assert_eq!(history.len(), SESSION.len() + 1);
     (disk.count(), history)
@@ -554,7 +560,7 @@ fn crash_keeps_acknowledged_steps_and_no_partial_grasp() {
     ] {
         for at in 0..operations {
             let context = format!("{fault:?} at operation {at}");
-            let dir = tempfile::tempdir().unwrap();
+            let dir = memory_folder();
             let root = dir.path().join("d");
             let disk = FailingDisk::new(at, Some(fault));
             let acknowledged = run_session(&disk, &root).len() - 1;
@@ -574,7 +580,7 @@ fn crash_during_recovery_loses_nothing() {
     for at in 0..operations {
         for second in 0.. {
             let context = format!("killed at operation {at}, then at {second} of opening again");
-            let dir = tempfile::tempdir().unwrap();
+            let dir = memory_folder();
             let root = dir.path().join("d");
             let first = FailingDisk::new(
                 at,
@@ -602,7 +608,7 @@ fn failed_step_changes_nothing_and_can_be_retried() {
     let (operations, history) = whole_session(&FailingDisk::new(0, None));
     for at in 0..operations {
         let context = format!("no space at operation {at}");
-        let dir = tempfile::tempdir().unwrap();
+        let dir = memory_folder();
         let root = dir.path().join("d");
         let disk = FailingDisk::new(at, Some(Fault::FullOnce));
         let opened = open(&disk, &root).or_else(|error| {
@@ -634,7 +640,7 @@ fn full_disk_keeps_saved_grasps_and_can_be_opened() {
     let (operations, history) = whole_session(&FailingDisk::new(0, None));
     for at in 0..operations {
         let context = format!("disk full from operation {at}");
-        let dir = tempfile::tempdir().unwrap();
+        let dir = memory_folder();
         let root = dir.path().join("d");
         let disk = FailingDisk::new(at, Some(Fault::Full));
         let acknowledged = run_session(&disk, &root).len() - 1;
@@ -653,7 +659,7 @@ fn crash_with_trash_on_another_disk(fault: Fault) {
     let (operations, history) = whole_session(&FailingDisk::with_two_disks(0, None));
     for at in 0..operations {
         let context = format!("two disks, {fault:?} at operation {at}");
-        let dir = tempfile::tempdir().unwrap();
+        let dir = memory_folder();
         let root = dir.path().join("d");
         let disk = FailingDisk::with_two_disks(at, Some(fault));
         let acknowledged = run_session(&disk, &root).len() - 1;
@@ -719,7 +725,7 @@ fn schemas(root: &Path) -> (u32, u32) {
 
 #[test]
 fn reading_and_opening_leave_an_earlier_dataset_as_it_is() {
-    let dir = tempfile::tempdir().unwrap();
+    let dir = memory_folder();
     let root = dir.path().join("d");
     let id = earlier_dataset(&root);
     assert_eq!(verify(&root, &|_, _| {}).unwrap().problems, []);
@@ -745,7 +751,7 @@ fn reading_and_opening_leave_an_earlier_dataset_as_it_is() {
 
 #[test]
 fn command_migrates_once() {
-    let dir = tempfile::tempdir().unwrap();
+    let dir = memory_folder();
     let root = dir.path().join("d");
     earlier_dataset(&root);
     let report = super::migrate(&root).unwrap();
@@ -768,7 +774,7 @@ fn crash_during_migration_leaves_one_version_or_the_other() {
     ] {
         for at in 0.. {
             let context = format!("{fault:?} at operation {at}");
-            let dir = tempfile::tempdir().unwrap();
+            let dir = memory_folder();
             let root = dir.path().join("d");
             let id = earlier_dataset(&root);
             let disk = FailingDisk::new(at, Some(fault));
