@@ -224,6 +224,45 @@ fn resuming_with_other_settings_or_dataset_is_refused() {
 }
 
 #[test]
+fn several_datasets_are_trained_on_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let [a, b] = ["a", "b"].map(|name| folder.path().join(name));
+    write_dataset(&a, 8);
+    // No objects of `a`, no depth and nothing for validation.
+    let own = (0..5).map(|number| {
+        let mut row = row("own", number);
+        row.images.grasp_depth = None;
+        row
+    });
+    write_split(&b, TRAIN, own);
+    let out = folder.path().join("run");
+    let settings = TrainSettings {
+        epochs: 1,
+        pretrain_epochs: 1,
+        ..settings(Modality::Vtd)
+    };
+    let both = [b.clone(), a.clone()];
+    train(&both, &out, &settings, None, &|_| {}).unwrap();
+    let run = RunFolder::at(&out);
+    let file = run.read().unwrap().unwrap();
+    for object in ["own-object-0", "train-object-0"] {
+        assert!(file.objects.iter().any(|name| name == object), "{file:?}");
+    }
+    let finished = finish(&run, &file, &both, "both", &|_| {}).unwrap();
+    assert_eq!(finished.validation.n, 4);
+    let error = train(from_ref(&a), &out, &settings, None, &|_| {}).unwrap_err();
+    assert!(error.to_string().contains("another dataset"), "{error}");
+
+    // An object of `a` in the validation split of `b`.
+    write_split(&b, VALIDATION, (0..4).map(|number| row(TRAIN, number)));
+    let error = train(&both, &folder.path().join("x"), &settings, None, &|_| {}).unwrap_err();
+    assert!(error.what().contains("train-object-0"), "{error}");
+    let nowhere = [a, folder.path().join("nowhere")];
+    let error = train(&nowhere, &out, &settings, None, &|_| {}).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::NotFound, "{error}");
+}
+
+#[test]
 fn runs_of_other_versions_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");

@@ -198,18 +198,22 @@ impl Samples {
         &self.crop_profile
     }
 
-    /// Returns the inputs that the first sample has: touch, colour and perhaps depth.
+    /// Returns the inputs of the samples, as the first one of each file tells: touch, colour and
+    /// perhaps depth.
     ///
     /// # Errors
-    /// Errors of reading the file.
+    /// Errors of reading the files.
     pub fn modality(&self) -> Result<Modality> {
-        let rows = SampleReader::new(self, 0).rows(&[0])?;
-        let has_depth =
-            |(rows, row): &(Arc<Vec<ShardRow>>, usize)| rows[*row].images.grasp_depth.is_some();
-        Ok(match rows.iter().any(has_depth) {
-            true => Modality::Vtd,
-            false => Modality::Vt,
-        })
+        let mut reader = SampleReader::new(self, 0);
+        for group in self.groups.iter().filter(|group| group.group == 0) {
+            let rows = reader.rows(&[group.first])?;
+            let has_depth =
+                |(rows, row): &(Arc<Vec<ShardRow>>, usize)| rows[*row].images.grasp_depth.is_some();
+            if rows.iter().any(has_depth) {
+                return Ok(Modality::Vtd);
+            }
+        }
+        Ok(Modality::Vt)
     }
 
     /// Returns the number of samples per label: slip, stable.
@@ -434,13 +438,22 @@ mod tests {
         let roots = ["a", "b"].map(|name| dir.path().join(name));
         for (root, digit) in roots.iter().zip(["1", "2"]) {
             let info = format!("{{\"plan_sha256\":\"{}\"}}", digit.repeat(64));
-            write_split_with_info(root, "train", &info, (0..6).map(|n| row("train", n)));
+            let rows = (0..6).map(|n| {
+                let mut row = row("train", n);
+                if digit == "1" {
+                    row.images.grasp_depth = None;
+                }
+                row
+            });
+            write_split_with_info(root, "train", &info, rows);
         }
         let rows = (0..4).map(|n| row("train", n));
         write_split_with_info(&roots[1], "validation", "{}", rows);
         let one = Samples::open(&roots[0], "train").unwrap();
         let both = Samples::open_all(&roots, "train").unwrap();
         assert_eq!(both.facts().len(), 12);
+        assert_eq!(one.modality().unwrap(), Modality::Vt);
+        assert_eq!(both.modality().unwrap(), Modality::Vtd);
         assert_eq!(both.objects().len(), 2 * one.objects().len());
         assert!(
             both.objects()
