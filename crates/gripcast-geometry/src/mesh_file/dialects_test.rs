@@ -35,6 +35,7 @@ fn text_stl_dialects_are_read() {
             text.replace('\n', "\r\n").replace(' ', "\t"),
         ),
         ("two solids", split),
+        ("one line", text.replace('\n', " ")),
     ] {
         let found = parse(&dialect, MeshFormat::Stl).unwrap_or_else(|e| panic!("{name}: {e}"));
         assert_same_shape(&found, &mesh);

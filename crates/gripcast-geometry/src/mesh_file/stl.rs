@@ -89,12 +89,16 @@ fn read_text(text: &str) -> Result<TriangleMesh> {
     let mut facet = 0;
     for (index, line) in text::lines(text).enumerate() {
         let lower = line.trim_start().to_ascii_lowercase();
-        // The rest of the line is a name, which may contain any word.
-        if lower.starts_with("solid") || lower.starts_with("endsolid") {
-            continue;
-        }
         let at = |e: gripcast_base::error::Error| e.at(format!("line {}", index + 1));
         let mut words = lower.split_whitespace();
+        if lower.starts_with("solid") || lower.starts_with("endsolid") {
+            // The rest of the line is a name, which may contain any word, unless facets follow.
+            let has = |name| words.clone().any(|word| word == name);
+            if !(has("loop") && has("vertex")) {
+                continue;
+            }
+            words.find(|word| *word == "facet");
+        }
         while let Some(word) = words.next() {
             match word {
                 "vertex" => mesh.vertices.push(vertex(&mut words).map_err(at)?),
