@@ -309,7 +309,7 @@ fn open_or_create(
         rgb_mean: normalisation.mean,
         rgb_std: normalisation.std,
         crop_profile: train.crop_profile().to_owned(),
-        objects: train.objects().into_iter().map(str::to_owned).collect(),
+        objects: train.objects_in_plans().into_iter().collect(),
     };
     let text = serde_json::to_vec_pretty(&file)
         .map_err(|e| Error::internal("cannot write the run").because(e))?;

@@ -34,6 +34,18 @@ pub struct SampleFacts {
     pub geometry: Option<GraspGeometry>,
     /// What gels and wrist camera show in the lift, if known.
     pub lift_motion: Option<LiftMotion>,
+    /// First 8 digits of the hash of the plan, if it was simulated.
+    pub plan: Option<String>,
+}
+
+impl SampleFacts {
+    /// Name of the object in its plan: plans number their objects.
+    fn object_in_plan(&self) -> String {
+        match &self.plan {
+            Some(plan) if !self.object.ends_with(plan) => format!("{}@{plan}", self.object),
+            _ => self.object.clone(),
+        }
+    }
 }
 
 impl From<ShardFacts> for SampleFacts {
@@ -47,6 +59,7 @@ impl From<ShardFacts> for SampleFacts {
             stop_force_n: facts.stop_force_n,
             geometry: facts.geometry,
             lift_motion: facts.lift,
+            plan: None,
         }
     }
 }
@@ -124,19 +137,22 @@ impl Samples {
     ) -> Result<()> {
         for file in files {
             let reader = ShardReader::open_beneath(file)?;
-            let plan = reader.info().filter(|_| is_one_of_several).and_then(plan);
+            let plan = reader.info().and_then(plan);
             let size = file.metadata().map_or(0, |metadata| metadata.bytes) as usize;
             let shard = self.shards.len();
             let mut first = self.facts.len();
             for facts in reader.facts() {
                 let mut facts = facts?;
                 crops.insert(facts.crop_profile.clone());
-                if let Some(plan) = &plan {
+                if let Some(plan) = plan.as_ref().filter(|_| is_one_of_several) {
                     for name in [&mut facts.id, &mut facts.simulation, &mut facts.object] {
                         *name = format!("{name}@{plan}");
                     }
                 }
-                self.facts.push(facts.into());
+                self.facts.push(SampleFacts {
+                    plan: plan.clone(),
+                    ..facts.into()
+                });
             }
             for group in 0..reader.num_row_groups() {
                 let rows = reader.group_rows(group);
@@ -227,10 +243,18 @@ impl Samples {
         self.facts.iter().map(|facts| &*facts.object).collect()
     }
 
+    /// Returns the names of the objects, those of plans as `NAME@PLAN`.
+    pub(super) fn objects_in_plans(&self) -> BTreeSet<String> {
+        self.facts.iter().map(SampleFacts::object_in_plan).collect()
+    }
+
     /// Counts the objects with one of these names, as far as names tell.
     pub fn count_named(&self, names: &BTreeSet<String>) -> usize {
-        let is_named = |object: &&str| names.iter().any(|name| is_same_object(name, object));
-        self.objects().into_iter().filter(is_named).count()
+        let is_named = |object: &String| names.iter().any(|name| is_same_object(name, object));
+        self.objects_in_plans()
+            .iter()
+            .filter(|o| is_named(o))
+            .count()
     }
 
     /// Checks that another split shares no object with this one (no leakage).
@@ -468,8 +492,15 @@ mod tests {
         // Only one of them has it; its objects have no plan and may be those of training.
         let validation = Samples::open_all(&roots, "validation").unwrap();
         assert_eq!(validation.facts().len(), 4);
-        let trained = both.objects().into_iter().map(str::to_owned).collect();
+        let trained = both.objects_in_plans();
         assert_eq!(validation.count_named(&trained), validation.objects().len());
+        // Alone, too, its objects are those of its plan.
+        let other = Samples::open(&roots[1], "train").unwrap();
+        assert_eq!(
+            one.count_named(&one.objects_in_plans()),
+            one.objects().len()
+        );
+        assert_eq!(one.count_named(&other.objects_in_plans()), 0);
 
         let [a, b] = &roots;
         let again = Samples::open_all(&[a.clone(), a.clone()], "train").unwrap_err();
