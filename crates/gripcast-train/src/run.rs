@@ -104,8 +104,8 @@ pub struct Trained {
     pub warnings: Vec<String>,
 }
 
-/// Trains a classifier on the samples of one or more datasets, or resumes an interrupted run. The encoders of camera images are those of
-/// `cameras` and stay as they are, or are trained too.
+/// Trains a classifier on the samples of one or more datasets, or resumes an interrupted run. The
+/// encoders of camera images are those of `cameras` and stay as they are, or are trained too.
 ///
 /// # Errors
 /// `Usage`: settings out of range or other than those of the run in the folder. `Input`: a dataset

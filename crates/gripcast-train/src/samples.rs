@@ -41,8 +41,9 @@ pub struct SampleFacts {
 impl SampleFacts {
     /// Name of the object in its plan: plans number their objects.
     fn object_in_plan(&self) -> String {
-        match &self.plan {
-            Some(plan) if !self.object.ends_with(plan) => format!("{}@{plan}", self.object),
+        let plan = self.plan.as_ref().map(|plan| format!("@{plan}"));
+        match plan {
+            Some(plan) if !self.object.ends_with(&plan) => self.object.clone() + &plan,
             _ => self.object.clone(),
         }
     }
