@@ -14,9 +14,7 @@ use super::work::detached;
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_geometry::Pose;
 use gripcast_sim::grasp::Finger;
-use gripcast_tactile::{
-    Moment, MountingAngle, Rasteriser, SceneRenderer as _, SensorMount, TactileScene, object_depth,
-};
+use gripcast_tactile::{Moment, MountingAngle, SensorMount, TactileScene};
 
 /// Depth of a press unless another is given, m.
 const PRESS_M: f64 = 5e-4;
@@ -145,17 +143,16 @@ fn render(
     seed: Option<u64>,
 ) -> Result<Rendered> {
     sensor.with_renderer(finger, |renderer| {
+        let press = renderer.press(scene);
         let markers = match markers {
-            true => renderer.marker_field(scene)?.map(|field| field.to_array()),
+            true => renderer.marker_field_of(&press, &scene.skin)?,
             false => None,
         };
-        let image = renderer.render(scene, seed)?;
-        let press = object_depth(scene, &renderer.grid(), &mut Rasteriser::new());
         Ok(Rendered {
-            image,
+            image: renderer.render_press(&press, &scene.skin, seed)?,
             deepest_m: press.deepest_m(),
             depth_m: press.depth_m,
-            markers,
+            markers: markers.map(|field| field.to_array()),
         })
     })
 }

@@ -35,6 +35,7 @@ pub fn ball_sink_m(contact_m: f64, ball_m: f64, length_m: f64) -> f64 {
 pub(super) struct Membrane {
     length_px: f64,
     levels: Vec<Level>,
+    parted: Parted,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -51,6 +52,7 @@ impl Membrane {
         Self {
             length_px,
             levels: Vec::new(),
+            parted: Parted::default(),
         }
     }
 
@@ -77,7 +79,7 @@ impl Membrane {
                 }
                 None => level.face.copy_from_slice(&level.obstacle),
             }
-            level.relax((length * length) as f32);
+            level.relax((length * length) as f32, &mut self.parted);
         }
         upsample_max(depth, width, &self.levels[0]);
     }
@@ -108,29 +110,110 @@ impl Membrane {
 }
 
 impl Level {
-    fn relax(&mut self, length_square: f32) {
+    fn relax(&mut self, length_square: f32, parted: &mut Parted) {
         let weight = length_square / (1.0 + 4.0 * length_square);
+        parted.take(self);
         for sweep in 0..2 * SWEEPS {
             for y in 0..self.height {
-                self.relax_row(y, (y + sweep) % 2, weight);
+                parted.relax_row(y, (y + sweep) % 2, weight);
+            }
+        }
+        parted.give(&mut self.face);
+    }
+}
+
+/// Even and odd columns of a level apart, so that the pixels of a row that are relaxed together
+/// are adjacent.
+#[derive(Clone, Debug, Default)]
+struct Parted {
+    height: usize,
+    widths: [usize; 2],
+    obstacle: [Vec<f32>; 2],
+    face: [Vec<f32>; 2],
+    /// The columns of a row at the border, which replicates them.
+    border: Vec<f32>,
+}
+
+impl Parted {
+    fn take(&mut self, level: &Level) {
+        self.height = level.height;
+        self.widths = [level.width.div_ceil(2), level.width / 2];
+        let planes = [
+            (&level.obstacle, &mut self.obstacle),
+            (&level.face, &mut self.face),
+        ];
+        for (plane, parts) in planes {
+            for (first, part) in parts.iter_mut().enumerate() {
+                part.clear();
+                for row in plane.chunks_exact(level.width) {
+                    part.extend(row.iter().skip(first).step_by(2));
+                }
             }
         }
     }
 
-    /// Relaxes every second pixel of a row; replicated border.
-    fn relax_row(&mut self, y: usize, first: usize, weight: f32) {
-        let (width, last) = (self.width, self.width - 1);
-        let above = y.saturating_sub(1) * width;
-        let below = (y + 1).min(self.height - 1) * width;
-        let here = y * width;
-        for x in (first..width).step_by(2) {
-            let sum = self.face[here + x.saturating_sub(1)]
-                + self.face[here + (x + 1).min(last)]
-                + self.face[above + x]
-                + self.face[below + x];
-            let old = self.face[here + x];
-            let free = old + OMEGA * (weight * sum - old);
-            self.face[here + x] = free.max(self.obstacle[here + x]);
+    fn give(&self, face: &mut [f32]) {
+        let [even, odd] = self.widths;
+        for (y, row) in face.chunks_exact_mut(even + odd).enumerate() {
+            for (first, part) in self.face.iter().enumerate() {
+                let columns = row.iter_mut().skip(first).step_by(2);
+                for (to, from) in columns.zip(&part[y * self.widths[first]..]) {
+                    *to = *from;
+                }
+            }
+        }
+    }
+
+    /// Relaxes the even columns of a row, or the odd ones; replicated border.
+    fn relax_row(&mut self, y: usize, odd: usize, weight: f32) {
+        let (width, other_width) = (self.widths[odd], self.widths[1 - odd]);
+        let [evens, odds] = &mut self.face;
+        let (own, other) = match odd {
+            0 => (evens, odds),
+            _ => (odds, evens),
+        };
+        let other = &other[y * other_width..][..other_width];
+        let obstacle = &self.obstacle[odd][y * width..][..width];
+        let (before, rest) = own.split_at_mut(y * width);
+        let (row, after) = rest.split_at_mut(width);
+        let is_last = y + 1 == self.height;
+        if y == 0 || is_last {
+            self.border.clear();
+            self.border.extend_from_slice(row);
+        }
+        let above = match y {
+            0 => &self.border[..],
+            _ => &before[(y - 1) * width..],
+        };
+        let below = match is_last {
+            true => &self.border[..],
+            false => &after[..width],
+        };
+        let relaxed = |old: f32, [left, right, above, below]: [f32; 4], obstacle: f32| {
+            let free = old + OMEGA * (weight * (left + right + above + below) - old);
+            free.max(obstacle)
+        };
+        // Column i + first lies between the other columns i and i + 1.
+        let first = 1 - odd;
+        let inner = width
+            .saturating_sub(first)
+            .min(other_width.saturating_sub(1));
+        for x in (0..first.min(width)).chain(first + inner..width) {
+            let beside = |at: Option<usize>| at.and_then(|at| other.get(at)).copied();
+            let left = beside((x + odd).checked_sub(1)).unwrap_or(row[x]);
+            let right = beside(Some(x + odd)).unwrap_or(row[x]);
+            row[x] = relaxed(row[x], [left, right, above[x], below[x]], obstacle[x]);
+        }
+        if inner == 0 {
+            return;
+        }
+        let (left, right) = (&other[..inner], &other[1..][..inner]);
+        let columns = first..first + inner;
+        let (above, below) = (&above[columns.clone()], &below[columns.clone()]);
+        let (row, obstacle) = (&mut row[columns.clone()], &obstacle[columns]);
+        for i in 0..inner {
+            let neighbours = [left[i], right[i], above[i], below[i]];
+            row[i] = relaxed(row[i], neighbours, obstacle[i]);
         }
     }
 }

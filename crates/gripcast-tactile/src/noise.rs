@@ -44,7 +44,7 @@ impl Drift {
     pub fn sample(&self, seed: u64) -> FrameNoise {
         let deviation = |stream: u64, std: f64| {
             let bits = scramble(seed ^ scramble(stream.wrapping_add(0x6472_6966)));
-            std as f32 * deviate(bits)
+            std as f32 * deviates(bits)[0]
         };
         let gain: [f32; 3] = std::array::from_fn(|c| 1.0 + deviation(c as u64, self.gain_std[c]));
         FrameNoise {
@@ -57,25 +57,59 @@ impl Drift {
     }
 }
 
-/// Unit-variance noise of a pixel's channels.
-pub(super) fn pixel_noise(seed: u64, pixel: usize) -> [f32; 3] {
-    let bits = scramble(seed ^ (pixel as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15));
-    std::array::from_fn(|c| deviate(bits >> (21 * c)))
+/// Bits of a deviate; a word of 64 bits holds those of three channels.
+const DEVIATE_BITS: u32 = 21;
+
+/// Repeats a pattern of [`DEVIATE_BITS`] for the three channels.
+const fn for_channels(pattern: u64) -> u64 {
+    pattern | pattern << DEVIATE_BITS | pattern << (2 * DEVIATE_BITS)
 }
 
-/// Approximately normal deviate of the lower 21 bits: 16 coins and a 5-bit uniform variable that
+/// Unit-variance noise of a pixel's channels.
+#[inline]
+pub(super) fn pixel_noise(seed: u64, pixel: usize) -> [f32; 3] {
+    deviates(scramble(
+        seed ^ (pixel as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15),
+    ))
+}
+
+/// Approximately normal deviates of three times 21 bits: 16 coins and a 5-bit uniform variable that
 /// fills the steps.
-fn deviate(bits: u64) -> f32 {
-    /// 1/√(16/4 + 1/12).
-    const SCALE: f32 = 0.494_881_7;
-    let coins = (bits & 0xffff).count_ones() as f32 - 8.0;
-    let fill = (((bits >> 16) & 31) as f32 - 15.5) / 32.0;
-    (coins + fill) * SCALE
+#[inline]
+fn deviates(bits: u64) -> [f32; 3] {
+    /// 1/√(16/4 + 1/12) per 1/64 of a coin.
+    const SCALE: f32 = 0.494_881_7 / 64.0;
+    /// Mean of the sum, 1/64 of a coin: 8 coins and 15.5 of 32 steps.
+    const MEAN: i32 = 8 * 64 + 31;
+    // Counts the coins of the three channels together.
+    let coins = bits & for_channels(0xffff);
+    let pairs = coins - ((coins >> 1) & for_channels(0x5555));
+    let quads = (pairs & for_channels(0x3333)) + ((pairs >> 2) & for_channels(0x3333));
+    let bytes = (quads + (quads >> 4)) & for_channels(0x0f0f);
+    let counts = (bytes + (bytes >> 8)) & for_channels(0x1f);
+    let sums = (counts << 6) + ((bits >> 15) & for_channels(0x3e));
+    let deviate =
+        |channel: u32| (((sums >> (channel * DEVIATE_BITS)) & 0x7ff) as i32 - MEAN) as f32 * SCALE;
+    [deviate(0), deviate(1), deviate(2)]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn deviate_counts_coins_and_fills_the_steps() {
+        for item in 0..2000 {
+            let bits = scramble(item);
+            for (channel, found) in deviates(bits).into_iter().enumerate() {
+                let bits = bits >> (21 * channel);
+                let coins = f64::from((bits & 0xffff).count_ones()) - 8.0;
+                let fill = (((bits >> 16) & 31) as f64 - 15.5) / 32.0;
+                let expected = (coins + fill) / (4.0 + 1.0 / 12.0_f64).sqrt();
+                assert!((f64::from(found) - expected).abs() < 1e-6);
+            }
+        }
+    }
 
     #[test]
     fn noise_is_white_with_unit_variance() {

@@ -88,10 +88,20 @@ impl Normals {
 fn row_slopes(row: &[f32], region: Region, per_pixel: f32, out: &mut [f32]) {
     let last = row.len() - 1;
     let half = 0.5 * per_pixel;
-    for (out, x) in out.iter_mut().zip(region.x0..region.x1) {
-        let (left, right) = (x.saturating_sub(1), (x + 1).min(last));
-        let step = if right - left == 2 { half } else { per_pixel };
-        *out = (row[left] - row[right]) * step;
+    let inner = region.x0.max(1)..region.x1.min(last);
+    for x in [region.x0, region.x1 - 1] {
+        if !inner.contains(&x) {
+            let (left, right) = (x.saturating_sub(1), (x + 1).min(last));
+            out[x - region.x0] = (row[left] - row[right]) * per_pixel;
+        }
+    }
+    if inner.is_empty() {
+        return;
+    }
+    let sides = row[inner.start - 1..].iter().zip(&row[inner.start + 1..]);
+    let out = &mut out[inner.start - region.x0..inner.end - region.x0];
+    for (out, (left, right)) in out.iter_mut().zip(sides) {
+        *out = (left - right) * half;
     }
 }
 

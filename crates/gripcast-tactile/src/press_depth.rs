@@ -55,6 +55,17 @@ impl PressDepth {
 
     /// Maximum depth, m.
     pub fn deepest_m(&self) -> f64 {
-        f64::from(self.depth_m.iter().copied().fold(0.0, f32::max))
+        f64::from(folded(&self.depth_m, 0.0, f32::max))
     }
+}
+
+/// Folds values by an operation whose order does not matter, in loops that vectorise.
+pub(super) fn folded(values: &[f32], start: f32, operation: impl Fn(f32, f32) -> f32) -> f32 {
+    let mut lanes = [start; 16];
+    for block in values.chunks(lanes.len()) {
+        for (lane, value) in lanes.iter_mut().zip(block) {
+            *lane = operation(*lane, *value);
+        }
+    }
+    lanes.into_iter().fold(start, operation)
 }

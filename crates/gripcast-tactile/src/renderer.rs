@@ -15,6 +15,8 @@ use super::smooth::Smoother;
 use gripcast_base::error::{Error, Result};
 use gripcast_shear::MarkerField;
 
+/// Pixels composed together.
+const LANES: usize = 32;
 /// Relative tolerance of pixel sizes.
 const SAME_PIXEL: f64 = 1e-6;
 
@@ -189,22 +191,31 @@ impl TactileRenderer {
 
     /// Writes gain · (untouched + change) + offset + noise, rounded.
     fn compose(&self, noise: &FrameNoise, image: &mut RgbImage) {
-        let [red, green, blue] = &self.untouched;
-        let [d_red, d_green, d_blue] = &self.change;
-        let light = red.iter().zip(d_red);
-        let light = light.zip(green.iter().zip(d_green));
-        let light = light.zip(blue.iter().zip(d_blue));
         // + 0.5 rounds; the cast saturates at 0 and 255.
-        let [o_red, o_green, o_blue] = noise.offset.map(|v| v + 0.5);
-        let [g_red, g_green, g_blue] = noise.gain;
-        let pixels = image.chunks_exact_mut(3).zip(light);
-        let [s_red, s_green, s_blue] = self.noise_std;
-        for (i, (pixel, (((r, dr), (g, dg)), (b, db)))) in pixels.enumerate() {
-            let draws = noise.noise_seed.map(|seed| pixel_noise(seed, i));
-            let [n_red, n_green, n_blue] = draws.unwrap_or_default();
-            pixel[0] = (g_red * (r + dr) + o_red + s_red * n_red) as u8;
-            pixel[1] = (g_green * (g + dg) + o_green + s_green * n_green) as u8;
-            pixel[2] = (g_blue * (b + db) + o_blue + s_blue * n_blue) as u8;
+        let offset = noise.offset.map(|v| v + 0.5);
+        let mut draws = [[0.0f32; LANES]; 3];
+        for (block, pixels) in image.chunks_mut(3 * LANES).enumerate() {
+            let first = block * LANES;
+            let count = pixels.len() / 3;
+            if let Some(seed) = noise.noise_seed {
+                for lane in 0..LANES {
+                    let [red, green, blue] = pixel_noise(seed, first + lane);
+                    draws[0][lane] = red;
+                    draws[1][lane] = green;
+                    draws[2][lane] = blue;
+                }
+            }
+            for (channel, draws) in draws.iter().enumerate() {
+                let (gain, offset) = (noise.gain[channel], offset[channel]);
+                let std = self.noise_std[channel];
+                let untouched = &self.untouched[channel][first..first + count];
+                let change = &self.change[channel][first..first + count];
+                let light = untouched.iter().zip(change).zip(draws);
+                let levels = pixels[channel..].iter_mut().step_by(3);
+                for (level, ((untouched, change), draw)) in levels.zip(light) {
+                    *level = (gain * (untouched + change) + offset + std * draw) as u8;
+                }
+            }
         }
     }
 

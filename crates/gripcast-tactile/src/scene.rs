@@ -13,7 +13,7 @@ use glam::{DQuat, DVec3};
 use super::contact_gap::contact_gap;
 use super::markers::{ContactLoad, NodeMotion};
 use super::moment::Moment;
-use super::press_depth::SensorGeometry;
+use super::press_depth::{SensorGeometry, folded};
 use super::rasteriser::Rasteriser;
 use super::trace_header::TraceStart;
 use gripcast_base::error::{Error, Result};
@@ -324,7 +324,7 @@ impl<'a> TactileScene<'a> {
         let everywhere = [f64::NEG_INFINITY, f64::INFINITY];
         let mut rasteriser = Rasteriser::new();
         let nearest = rasteriser.nearest(object, t_sensor_object, grid, everywhere);
-        let lowest = f64::from(nearest.iter().copied().fold(f32::INFINITY, f32::min));
+        let lowest = f64::from(folded(nearest, f32::INFINITY, f32::min));
         if !lowest.is_finite() {
             return Err(Error::input("the object is not over the sensor's image")
                 .remedy("shift it: x = 0, y = 0 is the centre of the gel"));

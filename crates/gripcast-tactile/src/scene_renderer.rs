@@ -4,11 +4,11 @@ use image::RgbImage;
 
 use super::depth::object_depth;
 use super::noise::{Drift, FrameNoise};
-use super::press_depth::SensorGeometry;
+use super::press_depth::{PressDepth, SensorGeometry};
 use super::profile::SensorProfile;
 use super::rasteriser::Rasteriser;
 use super::renderer::TactileRenderer;
-use super::scene::TactileScene;
+use super::scene::{Skin, TactileScene};
 use gripcast_base::error::Result;
 use gripcast_shear::MarkerField;
 
@@ -55,6 +55,37 @@ impl ObjectDepthRenderer {
             rasteriser: Rasteriser::new(),
         })
     }
+
+    /// Depth of the object of a scene in the gel.
+    pub fn press(&mut self, scene: &TactileScene<'_>) -> PressDepth {
+        object_depth(scene, &self.shading.geometry(), &mut self.rasteriser)
+    }
+
+    /// As [`SceneRenderer::render`], of a scene's [`Self::press`] and skin.
+    ///
+    /// # Errors
+    /// `Input` if the press is on another grid.
+    pub fn render_press(
+        &mut self,
+        press: &PressDepth,
+        skin: &Skin,
+        seed: Option<u64>,
+    ) -> Result<RgbImage> {
+        let noise = noise(&self.drift, seed);
+        self.shading.render_with_skin(press, skin, &noise)
+    }
+
+    /// As [`SceneRenderer::marker_field`], of a scene's [`Self::press`] and skin.
+    ///
+    /// # Errors
+    /// `Input` if the press is on another grid.
+    pub fn marker_field_of(
+        &mut self,
+        press: &PressDepth,
+        skin: &Skin,
+    ) -> Result<Option<MarkerField>> {
+        self.shading.marker_field(press, skin)
+    }
 }
 
 impl SceneRenderer for ObjectDepthRenderer {
@@ -63,14 +94,13 @@ impl SceneRenderer for ObjectDepthRenderer {
     }
 
     fn render(&mut self, scene: &TactileScene<'_>, seed: Option<u64>) -> Result<RgbImage> {
-        let press = object_depth(scene, &self.grid(), &mut self.rasteriser);
-        let noise = noise(&self.drift, seed);
-        self.shading.render_with_skin(&press, &scene.skin, &noise)
+        let press = self.press(scene);
+        self.render_press(&press, &scene.skin, seed)
     }
 
     fn marker_field(&mut self, scene: &TactileScene<'_>) -> Result<Option<MarkerField>> {
-        let press = object_depth(scene, &self.grid(), &mut self.rasteriser);
-        self.shading.marker_field(&press, &scene.skin)
+        let press = self.press(scene);
+        self.marker_field_of(&press, &scene.skin)
     }
 }
 

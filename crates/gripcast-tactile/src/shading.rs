@@ -191,32 +191,24 @@ impl PolynomialShading {
         let positions: Vec<f32> = (region.x0..region.x1)
             .map(|x| normalised_position(geometry, x, 0)[0])
             .collect();
-        let mut term = vec![0.0f32; positions.len()];
-        let [red, green, blue] = planes;
+        let terms = self.normal.terms();
         for row in region.y0..region.y1 {
             let span = row * geometry.width + region.x0..row * geometry.width + region.x1;
             let [_, y] = normalised_position(geometry, 0, row);
-            let normal = [
-                &normals.x[span.clone()],
-                &normals.y[span.clone()],
-                &normals.z_less_1[span.clone()],
-            ];
-            for k in 0..self.normal.terms() {
-                fill_term(k, normal, &mut term);
-                let along = |values: &[f64]| self.along_row(values, k, y);
-                add_term(&term, &positions, along(&self.red), &mut red[span.clone()]);
-                add_term(
-                    &term,
-                    &positions,
-                    along(&self.green),
-                    &mut green[span.clone()],
-                );
-                add_term(
-                    &term,
-                    &positions,
-                    along(&self.blue),
-                    &mut blue[span.clone()],
-                );
+            let coefficients = self.channels().map(|values| {
+                let mut along = [[0.0; 3]; NORMAL_TERMS];
+                for (k, along) in along.iter_mut().enumerate().take(terms) {
+                    *along = self.along_row(values, k, y);
+                }
+                along
+            });
+            let normal = [&normals.x, &normals.y, &normals.z_less_1].map(|n| &n[span.clone()]);
+            let [red, green, blue] = &mut *planes;
+            let out = [red, green, blue].map(|plane| &mut plane[span.clone()]);
+            if self.position == PositionOrder::Constant {
+                add_row::<false>(terms, normal, &positions, &coefficients, out);
+            } else {
+                add_row::<true>(terms, normal, &positions, &coefficients, out);
             }
         }
     }
@@ -232,40 +224,60 @@ impl PolynomialShading {
     }
 }
 
-/// Writes term `k` of the normals of a row, in the order of [`normal_terms`].
-fn fill_term(k: usize, [x, y, z]: [&[f32]; 3], out: &mut [f32]) {
-    match k {
-        0 => out.copy_from_slice(x),
-        1 => out.copy_from_slice(y),
-        2 => out.copy_from_slice(z),
-        3 => product(out, [x, x]),
-        4 => product(out, [y, y]),
-        5 => product(out, [x, y]),
-        6 => product(out, [x, z]),
-        7 => product(out, [y, z]),
-        8 => triple(out, [x, x, x]),
-        9 => triple(out, [y, y, y]),
-        10 => triple(out, [x, x, y]),
-        _ => triple(out, [x, y, y]),
+/// Pixels shaded together.
+const LANES: usize = 16;
+
+/// Adds the first `terms` terms of the normals of a row to its three channels. Without `ALONG_X`
+/// only the first coefficient counts.
+fn add_row<const ALONG_X: bool>(
+    terms: usize,
+    normals: [&[f32]; 3],
+    positions: &[f32],
+    coefficients: &[[[f32; 3]; NORMAL_TERMS]; 3],
+    mut out: [&mut [f32]; 3],
+) {
+    for start in (0..positions.len()).step_by(LANES) {
+        let [nx, ny, nz] = normals;
+        let (nx, ny, nz) = (block(nx, start), block(ny, start), block(nz, start));
+        let x = block(positions, start);
+        let mut values = [[0.0f32; LANES]; NORMAL_TERMS];
+        for lane in 0..LANES {
+            let of_lane = normal_terms(nx[lane], ny[lane], nz[lane]);
+            for (value, of_lane) in values.iter_mut().zip(of_lane) {
+                value[lane] = of_lane;
+            }
+        }
+        for (out, coefficients) in out.iter_mut().zip(coefficients) {
+            let mut sum = block(out, start);
+            for (value, [c0, c1, c2]) in values.iter().zip(coefficients).take(terms) {
+                for lane in 0..LANES {
+                    let coefficient = match ALONG_X {
+                        true => c0 + x[lane] * (c1 + x[lane] * c2),
+                        false => *c0,
+                    };
+                    sum[lane] += value[lane] * coefficient;
+                }
+            }
+            match out[start..].first_chunk_mut() {
+                Some(out) => *out = sum,
+                None => out[start..]
+                    .iter_mut()
+                    .zip(sum)
+                    .for_each(|(out, sum)| *out = sum),
+            }
+        }
     }
 }
 
-fn product(out: &mut [f32], [a, b]: [&[f32]; 2]) {
-    for (out, (a, b)) in out.iter_mut().zip(a.iter().zip(b)) {
-        *out = a * b;
-    }
-}
-
-fn triple(out: &mut [f32], [a, b, c]: [&[f32]; 3]) {
-    for (out, ((a, b), c)) in out.iter_mut().zip(a.iter().zip(b).zip(c)) {
-        *out = a * b * c;
-    }
-}
-
-fn add_term(term: &[f32], positions: &[f32], [c0, c1, c2]: [f32; 3], out: &mut [f32]) {
-    for (out, (t, x)) in out.iter_mut().zip(term.iter().zip(positions)) {
-        *out += t * (c0 + x * (c1 + x * c2));
-    }
+/// The pixels of a row from `start`, 0 behind its end.
+#[inline]
+fn block(row: &[f32], start: usize) -> [f32; LANES] {
+    let rest = &row[start..];
+    rest.first_chunk().copied().unwrap_or_else(|| {
+        let mut block = [0.0; LANES];
+        block[..rest.len()].copy_from_slice(rest);
+        block
+    })
 }
 
 #[cfg(test)]
