@@ -17,8 +17,8 @@ use fast_image_resize::images::{Image, ImageRef};
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use gripcast_imaging::jpeg::{JpegScale, inspect};
 use gripcast_imaging::{
-    CropProfile, Decoder, Frame, JpegDecoder, PixelFormat, TactileDifference, crop_and_resize,
-    encode_jpeg, encode_png_rgb, synthetic_gel,
+    CropProfile, Decoder, Depth, DepthImage, DepthView, Frame, JpegDecoder, PixelFormat,
+    TactileDifference, crop_and_resize, encode_jpeg, encode_png_rgb, synthetic_gel,
 };
 
 const CROP: CropProfile = CropProfile::GSMINI_SEVENTH;
@@ -123,12 +123,23 @@ fn parts(c: &mut Criterion) {
     });
 }
 
+fn depth(c: &mut Criterion) {
+    let codes = (0..848 * 480_u32).map(|i| 1500 + (i * 31 % 1400) as u16);
+    let image = DepthImage::from_raw(848, 480, codes.collect()).unwrap();
+    let unit_m = 1e-4;
+    let depth = Depth { image, unit_m };
+    for view in DepthView::ALL {
+        let name = format!("depth/{}_848x480_to_320x240", view.name());
+        c.bench_function(&name, |b| b.iter(|| depth.in_colour_image(view, 320, 240)));
+    }
+}
+
 criterion_group! {
     name = benches;
     config = Criterion::default()
         .sample_size(15)
         .warm_up_time(Duration::from_millis(300))
         .measurement_time(Duration::from_secs(1));
-    targets = tactile, colour, parts
+    targets = tactile, colour, depth, parts
 }
 criterion_main!(benches);

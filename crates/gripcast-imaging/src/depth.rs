@@ -1,7 +1,8 @@
 //! Depth images of the camera between the fingers, and their view from its colour camera.
 
+use std::ops::Range;
+
 use gripcast_geometry::WristCamera;
-use image::Luma;
 
 use super::z16::DepthImage;
 
@@ -128,22 +129,27 @@ impl Depth {
         let centre = [colour.width, colour.height].map(|side| 0.5 * (side as f64 - 1.0));
         // Half a pixel of the depth image in the colour image, and at least half of one there.
         let reach = 0.5 * (to / from).max(1.0);
-        let covered = |at: f64, count: usize| {
-            let [first, end] = [(at - reach).ceil(), (at + reach).floor() + 1.0];
-            first.max(0.0) as usize..end.clamp(0.0, count as f64) as usize
-        };
+        let covered = |at: f64, count: usize| covered(at - reach, at + reach, count);
+        let direction = |at: u32, axis: usize| (f64::from(at) - middle[axis]) / from;
+        let directions: Vec<f64> = (0..width).map(|x| direction(x, 0)).collect();
         let mut depths = vec![0.0; colour.width * colour.height];
-        for (x, y, Luma([code])) in self.image.enumerate_pixels() {
-            let Some(z) = self.depth_m(*code) else {
+        for (y, codes) in self.image.chunks_exact(width as usize).enumerate() {
+            let v = direction(y as u32, 1);
+            let rows = covered(centre[1] + to * v, colour.height);
+            if rows.is_empty() {
                 continue;
-            };
-            let [u, v] = [(x, middle[0]), (y, middle[1])].map(|(at, m)| (f64::from(at) - m) / from);
-            let column = centre[0] + to * (u + colour.left_imager_m / z);
-            for row in covered(centre[1] + to * v, colour.height) {
-                for column in covered(column, colour.width) {
-                    let depth = &mut depths[row * colour.width + column];
-                    if *depth == 0.0 || z < *depth {
-                        *depth = z;
+            }
+            for (u, code) in directions.iter().zip(codes) {
+                let Some(z) = self.depth_m(*code) else {
+                    continue;
+                };
+                let column = centre[0] + to * (u + colour.left_imager_m / z);
+                let columns = covered(column, colour.width);
+                for row in rows.clone() {
+                    for depth in &mut depths[row * colour.width..][columns.clone()] {
+                        if *depth == 0.0 || z < *depth {
+                            *depth = z;
+                        }
                     }
                 }
             }
@@ -152,8 +158,25 @@ impl Depth {
     }
 }
 
+/// Integers from `low` to `high` below `count`. `ceil` and `floor` are library calls without SSE4.1.
+#[inline]
+fn covered(low: f64, high: f64, count: usize) -> Range<usize> {
+    let limit = count as f64;
+    let low = low.clamp(0.0, limit);
+    let first = low as u32;
+    let first = first + u32::from(f64::from(first) < low);
+    let end = match high < 0.0 {
+        true => 0,
+        false => (high.min(limit) as u32 + 1).min(count as u32),
+    };
+    // Never reversed, as slices have it.
+    first.min(end) as usize..end as usize
+}
+
 #[cfg(test)]
 mod tests {
+    use image::Luma;
+
     use super::*;
 
     #[test]
@@ -164,6 +187,23 @@ mod tests {
         assert_eq!(view(false, d435), Some(DepthView::LeftImager));
         assert_eq!(view(false, "Intel(R) RealSense(TM) Depth Camera 455"), None);
         assert_eq!(view(false, ""), None);
+    }
+
+    #[test]
+    fn covered_integers_are_those_between() {
+        for count in [0, 1, 7] {
+            for step in -40..60 {
+                for width in 0..12 {
+                    let low = 0.25 * f64::from(step);
+                    let high = low + 0.25 * f64::from(width);
+                    let is_between = |at: &usize| (low..=high).contains(&(*at as f64));
+                    let expected: Vec<usize> = (0..count).filter(is_between).collect();
+                    let found: Vec<usize> = covered(low, high, count).collect();
+                    assert_eq!(found, expected, "{low} {high} {count}");
+                }
+            }
+        }
+        assert!(covered(f64::INFINITY, f64::INFINITY, 5).is_empty());
     }
 
     #[test]
