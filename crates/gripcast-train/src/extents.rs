@@ -1,7 +1,9 @@
 //! Fits the heads that read the extents of the object.
 
-use super::samples::{SampleFacts, Samples};
-use super::validate::{Logit, SplitLogits};
+use std::ops::Range;
+
+use super::samples::Samples;
+use super::validate::{Logit, Scores, SplitLogits};
 use gripcast_base::linear::Symmetric;
 use gripcast_nn::predict::contract::Modality;
 use gripcast_nn::{EXTENT_UNITS, ExtentHead, Network};
@@ -14,12 +16,21 @@ const STEPS: usize = 30;
 /// Newton decrement below which the fit has converged.
 const CONVERGED: f64 = 1e-9;
 
+/// What a network finds on a split.
+#[derive(Clone, Copy)]
+pub(super) struct Found<'a> {
+    pub(super) samples: &'a Samples,
+    pub(super) logits: &'a SplitLogits,
+}
+
 /// Fits these heads by logistic regression on the training split, both labels with the same weight.
-/// A head without samples of both labels keeps the touch head's log-odds.
-pub(super) fn fit_extent_heads(network: &mut Network, samples: &Samples, found: &SplitLogits) {
+/// A head without samples of both labels keeps the touch head's log-odds. One of both camera images
+/// reads the extents of the depth image alone where its loss on the validation split is lower so.
+pub(super) fn fit_extent_heads(network: &mut Network, train: Found<'_>, validation: Found<'_>) {
     for inputs in network.extent_heads() {
-        let fitted = fit(inputs, samples.facts(), found);
-        let head = fitted.unwrap_or_else(|| ExtentHead {
+        let weights = fit(inputs, train, validation);
+        let head = weights.and_then(|weights| head_of(inputs, &weights));
+        let head = head.unwrap_or_else(|| ExtentHead {
             touch: 1.0,
             units: vec![0.0; cameras(inputs) * EXTENT_UNITS],
             bias: 0.0,
@@ -33,20 +44,70 @@ fn cameras(inputs: Modality) -> usize {
     inputs.cameras().map_or(0, |cameras| cameras.inputs().len())
 }
 
-fn fit(inputs: Modality, facts: &[SampleFacts], found: &SplitLogits) -> Option<ExtentHead> {
-    let touch = inputs.has_touch().then(|| found.all_of(Modality::T));
-    let rows = found.units_of(inputs)?;
-    let samples = rows.into_iter().map(|(sample, units)| {
+/// Features and labels of the samples that have these inputs: the touch head's log-odds, then the
+/// extent units of each camera image.
+fn features(inputs: Modality, found: Found<'_>) -> Option<Vec<(Vec<f64>, bool)>> {
+    let touch = inputs.has_touch().then(|| found.logits.all_of(Modality::T));
+    let rows = found.logits.units_of(inputs)?.into_iter();
+    let rows = rows.map(|(sample, units)| {
         let logit = touch.and_then(|touch: &[Logit]| touch.get(sample));
         let features = logit.map(|x| x.logit).into_iter().chain(units);
-        (features.collect(), facts[sample].is_stable)
+        let is_stable = found.samples.facts()[sample].is_stable;
+        (features.collect(), is_stable)
     });
-    let samples: Vec<(Vec<f64>, bool)> = samples.collect();
-    let weights = logistic_regression(&samples)?;
+    Some(rows.collect())
+}
+
+fn fit(inputs: Modality, train: Found<'_>, validation: Found<'_>) -> Option<Vec<f64>> {
+    let rows = features(inputs, train)?;
+    if !(inputs.has_vision() && inputs.has_depth()) {
+        return logistic_regression(&rows);
+    }
+    // The colour image is the first camera input.
+    let first = usize::from(inputs.has_touch());
+    let colour = first..first + EXTENT_UNITS;
+    let held_out = features(inputs, validation).unwrap_or_default();
+    with_or_without(colour, rows, &held_out)
+}
+
+/// Weights of a regression on all features, or on those without a range where these have the lower
+/// loss on held-out samples; the range has the weight 0 then.
+fn with_or_without(
+    range: Range<usize>,
+    rows: Vec<(Vec<f64>, bool)>,
+    held_out: &[(Vec<f64>, bool)],
+) -> Option<Vec<f64>> {
+    let all = logistic_regression(&rows)?;
+    let mut fewer = rows;
+    for (features, _) in &mut fewer {
+        // A feature that is constant gets no weight.
+        features[range.clone()].fill(0.0);
+    }
+    let fewer = logistic_regression(&fewer)?;
+    Some(if loss(&fewer, held_out) < loss(&all, held_out) {
+        fewer
+    } else {
+        all
+    })
+}
+
+/// Loss of weights, both labels with the same weight; NaN without samples of both.
+fn loss(weights: &[f64], samples: &[(Vec<f64>, bool)]) -> f64 {
+    let logits = samples.iter().map(|(features, is_stable)| {
+        let terms = features.iter().chain(&[1.0]).zip(weights);
+        Logit {
+            logit: terms.map(|(x, w)| x * w).sum(),
+            is_stable: *is_stable,
+        }
+    });
+    Scores::new(&logits.collect::<Vec<_>>()).loss
+}
+
+fn head_of(inputs: Modality, weights: &[f64]) -> Option<ExtentHead> {
     let (bias, weights) = weights.split_last()?;
-    let (touch, units) = match touch {
-        Some(_) => weights.split_first()?,
-        None => (&0.0, weights),
+    let (touch, units) = match inputs.has_touch() {
+        true => weights.split_first()?,
+        false => (&0.0, weights),
     };
     Some(ExtentHead {
         touch: *touch,
@@ -167,6 +228,30 @@ mod tests {
             weights[4].abs() < 0.1,
             "as likely stable as slip: {weights:?}"
         );
+    }
+
+    #[test]
+    fn features_that_do_not_help_held_out_samples_are_left_out() {
+        let held_out = samples(2000);
+        // Few samples and many features of noise, which these samples fit.
+        let mut draw = SeedStream::named(5, "noise");
+        let mut with_noise = |rows: &[(Vec<f64>, bool)]| -> Vec<(Vec<f64>, bool)> {
+            let rows = rows.iter().map(|(x, label)| {
+                let noise = (0..20).map(|_| draw.between(-1.0, 1.0));
+                (x[..2].iter().copied().chain(noise).collect(), *label)
+            });
+            rows.collect()
+        };
+        let (rows, held_out) = (with_noise(&samples(80)), with_noise(&held_out));
+        let chosen = with_or_without(2..22, rows.clone(), &held_out).unwrap();
+        assert!(chosen[2..22].iter().all(|w| *w == 0.0), "{chosen:?}");
+        assert!(loss(&chosen, &held_out) < loss(&logistic_regression(&rows).unwrap(), &held_out));
+        // Without those that the labels follow it is worse.
+        let chosen = with_or_without(0..2, rows.clone(), &held_out).unwrap();
+        assert_eq!(Some(chosen), logistic_regression(&rows));
+        // Nothing is known without held-out samples.
+        let chosen = with_or_without(2..22, rows.clone(), &[]);
+        assert_eq!(chosen, logistic_regression(&rows));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::time::Instant;
 use super::augment::{Augmentation, InputWriter};
 use super::batches::{Batches, colour_normalisation};
 use super::duplicates::duplicates;
-use super::extents::fit_extent_heads;
+use super::extents::{Found, fit_extent_heads};
 use super::run_folder::{EpochMetrics, RunFile, RunFolder, VERSION, foreign_checkpoint, untrained};
 use super::samples::{Samples, dataset_sha256, location};
 use super::settings::TrainSettings;
@@ -625,15 +625,21 @@ impl<'a> Training<'a> {
         .remedy("start a new run with a lower `--learning-rate`"))
     }
 
-    /// Fits the heads that read the extents on the training split, unless another phase sets them.
+    /// Fits the heads that read the extents, unless another phase sets them.
     fn fit_extent_heads(&mut self) -> Result<()> {
         let scope = self.settings.phase(self.position.epoch).scope;
         if scope != Scope::Touch || self.network.extent_heads().is_empty() {
             return Ok(());
         }
         let (settings, normalisation) = (self.settings, self.normalisation);
-        let found = logits(&self.network, self.train, settings, normalisation, &|_| {})?;
-        fit_extent_heads(&mut self.network, self.train, &found);
+        let found = |samples| logits(&self.network, samples, settings, normalisation, &|_| {});
+        let [train, validation] = [found(self.train)?, found(self.validation)?];
+        let of = |samples, logits| Found { samples, logits };
+        fit_extent_heads(
+            &mut self.network,
+            of(self.train, &train),
+            of(self.validation, &validation),
+        );
         Ok(())
     }
 
