@@ -35,7 +35,7 @@ pub fn ball_sink_m(contact_m: f64, ball_m: f64, length_m: f64) -> f64 {
 pub(super) struct Membrane {
     length_px: f64,
     levels: Vec<Level>,
-    parted: Parted,
+    red_black: RedBlack,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -52,7 +52,7 @@ impl Membrane {
         Self {
             length_px,
             levels: Vec::new(),
-            parted: Parted::default(),
+            red_black: RedBlack::default(),
         }
     }
 
@@ -79,7 +79,7 @@ impl Membrane {
                 }
                 None => level.face.copy_from_slice(&level.obstacle),
             }
-            level.relax((length * length) as f32, &mut self.parted);
+            level.relax((length * length) as f32, &mut self.red_black);
         }
         upsample_max(depth, width, &self.levels[0]);
     }
@@ -110,22 +110,22 @@ impl Membrane {
 }
 
 impl Level {
-    fn relax(&mut self, length_square: f32, parted: &mut Parted) {
+    fn relax(&mut self, length_square: f32, red_black: &mut RedBlack) {
         let weight = length_square / (1.0 + 4.0 * length_square);
-        parted.take(self);
+        red_black.split(self);
         for sweep in 0..2 * SWEEPS {
             for y in 0..self.height {
-                parted.relax_row(y, (y + sweep) % 2, weight);
+                red_black.relax_row(y, (y + sweep) % 2, weight);
             }
         }
-        parted.give(&mut self.face);
+        red_black.merge(&mut self.face);
     }
 }
 
-/// Even and odd columns of a level apart, so that the pixels of a row that are relaxed together
-/// are adjacent.
+/// Even and odd columns of a level as separate planes: the pixels of one colour of a row are
+/// contiguous.
 #[derive(Clone, Debug, Default)]
-struct Parted {
+struct RedBlack {
     height: usize,
     widths: [usize; 2],
     obstacle: [Vec<f32>; 2],
@@ -134,30 +134,30 @@ struct Parted {
     border: Vec<f32>,
 }
 
-impl Parted {
-    fn take(&mut self, level: &Level) {
+impl RedBlack {
+    fn split(&mut self, level: &Level) {
         self.height = level.height;
         self.widths = [level.width.div_ceil(2), level.width / 2];
         let planes = [
             (&level.obstacle, &mut self.obstacle),
             (&level.face, &mut self.face),
         ];
-        for (plane, parts) in planes {
-            for (first, part) in parts.iter_mut().enumerate() {
-                part.clear();
+        for (plane, halves) in planes {
+            for (first, half) in halves.iter_mut().enumerate() {
+                half.clear();
                 for row in plane.chunks_exact(level.width) {
-                    part.extend(row.iter().skip(first).step_by(2));
+                    half.extend(row.iter().skip(first).step_by(2));
                 }
             }
         }
     }
 
-    fn give(&self, face: &mut [f32]) {
+    fn merge(&self, face: &mut [f32]) {
         let [even, odd] = self.widths;
         for (y, row) in face.chunks_exact_mut(even + odd).enumerate() {
-            for (first, part) in self.face.iter().enumerate() {
+            for (first, half) in self.face.iter().enumerate() {
                 let columns = row.iter_mut().skip(first).step_by(2);
-                for (to, from) in columns.zip(&part[y * self.widths[first]..]) {
+                for (to, from) in columns.zip(&half[y * self.widths[first]..]) {
                     *to = *from;
                 }
             }
@@ -313,6 +313,38 @@ mod tests {
         let mut same = object.clone();
         Membrane::new(0.0).solve(&mut same, 101);
         assert_eq!(same, object);
+    }
+
+    #[test]
+    fn relaxation_equals_sor_pixel_by_pixel() {
+        for (width, height) in [(1, 1), (1, 4), (2, 3), (3, 1), (4, 4), (7, 5), (40, 9)] {
+            let object: Vec<f32> = (0..width * height)
+                .map(|i| ((i * 37 % 11) as f32 - 6.0).max(0.0))
+                .collect();
+            let mut level = Level {
+                width,
+                height,
+                obstacle: object.clone(),
+                face: object.clone(),
+            };
+            level.relax(4.0, &mut RedBlack::default());
+            let weight = 4.0 / (1.0 + 4.0 * 4.0);
+            let mut face = object.clone();
+            for sweep in 0..2 * SWEEPS {
+                for y in 0..height {
+                    for x in ((y + sweep) % 2..width).step_by(2) {
+                        let at = |x: usize, y: usize| face[y * width + x];
+                        let sum = at(x.saturating_sub(1), y)
+                            + at((x + 1).min(width - 1), y)
+                            + at(x, y.saturating_sub(1))
+                            + at(x, (y + 1).min(height - 1));
+                        let free = at(x, y) + OMEGA * (weight * sum - at(x, y));
+                        face[y * width + x] = free.max(object[y * width + x]);
+                    }
+                }
+            }
+            assert_eq!(level.face, face, "{width}×{height}");
+        }
     }
 
     #[test]
