@@ -198,11 +198,10 @@ impl TactileRenderer {
             let first = block * LANES;
             let count = pixels.len() / 3;
             if let Some(seed) = noise.noise_seed {
-                for lane in 0..LANES {
-                    let [red, green, blue] = pixel_noise(seed, first + lane);
-                    draws[0][lane] = red;
-                    draws[1][lane] = green;
-                    draws[2][lane] = blue;
+                let [reds, greens, blues] = &mut draws;
+                let lanes = reds.iter_mut().zip(greens).zip(blues);
+                for (lane, ((red, green), blue)) in lanes.enumerate() {
+                    [*red, *green, *blue] = pixel_noise(seed, first + lane);
                 }
             }
             for (channel, draws) in draws.iter().enumerate() {
