@@ -293,6 +293,26 @@ impl Network {
         }
     }
 
+    /// Computes the logits from touch alone with the running statistics; empty without a head that
+    /// reads it alone.
+    pub fn touch_logits(&self, batch: &Batch) -> Vec<f32> {
+        let mut heads = self.layout.heads.iter();
+        let Some(head) = heads.find(|head| head.modality == Modality::T) else {
+            return Vec::new();
+        };
+        let encoders = self.layout.encoders.iter();
+        let passes: Vec<EncoderPass> = encoders
+            .map(|params| {
+                let mut pass = EncoderPass::default();
+                if params.kind == EncoderKind::Touch {
+                    self.forward_encoder(params, &batch.touch, false, &mut pass);
+                }
+                pass
+            })
+            .collect();
+        self.head_forward(head, &passes, None).logits
+    }
+
     /// Runs forward and backward pass: returns the loss of a batch, adds the gradient of the
     /// parameters in the step's [`Scope`] to `gradient` and updates the running statistics if it
     /// includes them. The loss is the weighted mean binary cross entropy of all heads, nats, and

@@ -26,8 +26,13 @@ pub(super) struct Found<'a> {
 /// Fits these heads by logistic regression on the training split, both labels with the same weight.
 /// A head without samples of both labels keeps the touch head's log-odds. One of both camera images
 /// reads the extents of the depth image alone where its loss on the validation split is lower so.
-pub(super) fn fit_extent_heads(network: &mut Network, train: Found<'_>, validation: Found<'_>) {
-    for inputs in network.extent_heads() {
+/// Returns the heads, which the network has then.
+pub(super) fn fit_extent_heads(
+    network: &mut Network,
+    train: Found<'_>,
+    validation: Found<'_>,
+) -> Vec<(Modality, ExtentHead)> {
+    let fitted = network.extent_heads().into_iter().map(|inputs| {
         let weights = fit(inputs, train, validation);
         let head = weights.and_then(|weights| head_of(inputs, &weights));
         let head = head.unwrap_or_else(|| ExtentHead {
@@ -35,8 +40,13 @@ pub(super) fn fit_extent_heads(network: &mut Network, train: Found<'_>, validati
             units: vec![0.0; cameras(inputs) * EXTENT_UNITS],
             bias: 0.0,
         });
-        network.set_extent_head(inputs, &head);
+        (inputs, head)
+    });
+    let heads: Vec<(Modality, ExtentHead)> = fitted.collect();
+    for (inputs, head) in &heads {
+        network.set_extent_head(*inputs, head);
     }
+    heads
 }
 
 /// Number of camera images.

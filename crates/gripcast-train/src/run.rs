@@ -15,7 +15,7 @@ use super::samples::{Samples, dataset_sha256, location};
 use super::settings::TrainSettings;
 use super::start::StartModel;
 use super::state::{self, Position};
-use super::validate::{Scores, logits};
+use super::validate::{Scores, SplitLogits, logits};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind};
 use gripcast_base::random::SeedStream;
@@ -343,6 +343,9 @@ struct Training<'a> {
     network: Network,
     adam: Adam,
     position: Position,
+    /// Predictions of training and validation split after an epoch that left the encoders of camera
+    /// images as they are.
+    found: Option<[SplitLogits; 2]>,
 }
 
 impl<'a> Training<'a> {
@@ -382,6 +385,7 @@ impl<'a> Training<'a> {
                 best_epoch: None,
                 best: None,
             },
+            found: None,
         };
         let path = folder.state();
         if path.is_taken() {
@@ -581,7 +585,6 @@ impl<'a> Training<'a> {
         }
         let seconds = start.elapsed().as_secs_f64();
         let done = (steps - first) * batch_size as u64;
-        self.fit_extent_heads()?;
         let (scores, geometry_error_m) = self.validate(on_progress)?;
         Ok(EpochMetrics {
             epoch: epoch + 1,
@@ -625,34 +628,45 @@ impl<'a> Training<'a> {
         .remedy("start a new run with a lower `--learning-rate`"))
     }
 
-    /// Fits the heads that read the extents, unless another phase sets them.
-    fn fit_extent_heads(&mut self) -> Result<()> {
-        let scope = self.settings.phase(self.position.epoch).scope;
-        if scope != Scope::Touch || self.network.extent_heads().is_empty() {
-            return Ok(());
-        }
+    /// Predicts the validation split. Where the heads that read the extents are fitted, not trained,
+    /// it fits them first; the encoders of camera images stay as they are then, so their images are
+    /// read once.
+    fn predictions(&mut self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<SplitLogits> {
         let (settings, normalisation) = (self.settings, self.normalisation);
-        let found = |samples| logits(&self.network, samples, settings, normalisation, &|_| {});
-        let [train, validation] = [found(self.train)?, found(self.validation)?];
+        let (train, validation) = (self.train, self.validation);
+        let total = validation.facts().len();
+        let validating = |done| on_progress(TrainEvent::Validate([done, total]));
+        let network = &mut self.network;
+        let is_fitted = settings.phase(self.position.epoch).scope == Scope::Touch;
+        if !is_fitted || network.extent_heads().is_empty() {
+            return logits(network, validation, settings, normalisation, &validating);
+        }
+        let [of_train, mut found] = match self.found.take() {
+            Some([mut of_train, mut found]) => {
+                of_train.update_touch(network, train, &|_| {})?;
+                found.update_touch(network, validation, &validating)?;
+                [of_train, found]
+            }
+            None => [
+                logits(network, train, settings, normalisation, &|_| {})?,
+                logits(network, validation, settings, normalisation, &validating)?,
+            ],
+        };
         let of = |samples, logits| Found { samples, logits };
-        fit_extent_heads(
-            &mut self.network,
-            of(self.train, &train),
-            of(self.validation, &validation),
-        );
-        Ok(())
+        let heads = fit_extent_heads(network, of(train, &of_train), of(validation, &found));
+        for (inputs, head) in &heads {
+            found.set_extent_head(*inputs, head);
+        }
+        self.found = Some([of_train, found.clone()]);
+        Ok(found)
     }
 
     /// Evaluates the network on the validation split.
-    fn validate(&self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<(Scores, Option<f64>)> {
-        let total = self.validation.facts().len();
-        let logits = logits(
-            &self.network,
-            self.validation,
-            self.settings,
-            self.normalisation,
-            &|done| on_progress(TrainEvent::Validate([done, total])),
-        )?;
+    fn validate(
+        &mut self,
+        on_progress: &(dyn Fn(TrainEvent) + Sync),
+    ) -> Result<(Scores, Option<f64>)> {
+        let logits = self.predictions(on_progress)?;
         let modality = self.settings.modality;
         let is_new = self.settings.fine_tuning.is_none();
         if is_new && logits.complete() != Some(modality) {

@@ -9,7 +9,7 @@ use gripcast_base::error::Result;
 use gripcast_nn::predict::contract::{
     GEOMETRY, GEOMETRY_UNIT_M, InputName, Modality, RgbNormalisation,
 };
-use gripcast_nn::{Network, extent_units};
+use gripcast_nn::{ExtentHead, Network, extent_units};
 
 /// Cached bytes of images; samples are read in order.
 const MEMORY: usize = 1 << 25;
@@ -86,6 +86,49 @@ impl SplitLogits {
             of.flat_map(extent_units).collect()
         };
         Some(samples.map(|(sample, _)| (sample, units(sample))).collect())
+    }
+
+    /// Computes the predictions from touch alone again, after its encoder was trained.
+    ///
+    /// # Errors
+    /// Errors of reading and decoding.
+    pub(super) fn update_touch(
+        &mut self,
+        network: &Network,
+        samples: &Samples,
+        on_progress: &dyn Fn(usize),
+    ) -> Result<()> {
+        let Some(touch) = self.heads.iter().position(|head| *head == Modality::T) else {
+            return Ok(());
+        };
+        let writer = InputWriter::new(Augmentation::NONE, RgbNormalisation::NONE);
+        let mut batches = Batches::new(samples, Modality::T, writer, MEMORY);
+        let all: Vec<usize> = (0..self.available.len()).collect();
+        for indices in all.chunks(BATCH_SIZE) {
+            let found = network.touch_logits(&batches.batch(indices, None)?);
+            for (index, logit) in indices.iter().zip(found) {
+                self.logits[touch][*index].logit = f64::from(logit);
+            }
+            on_progress(indices.last().map_or(0, |last| last + 1));
+        }
+        Ok(())
+    }
+
+    /// Computes the predictions of a head that reads the extents of the object.
+    pub(super) fn set_extent_head(&mut self, inputs: Modality, head: &ExtentHead) {
+        let touch = self.all_of(Modality::T).to_vec();
+        let at = self.heads.iter().position(|known| *known == inputs);
+        let (Some(at), Some(units)) = (at, self.units_of(inputs)) else {
+            return;
+        };
+        for (sample, units) in units {
+            let terms = units.iter().zip(&head.units);
+            let mut logit = head.bias + terms.map(|(unit, weight)| unit * weight).sum::<f64>();
+            if inputs.has_touch() {
+                logit += touch.get(sample).map_or(0.0, |x| head.touch * x.logit);
+            }
+            self.logits[at][sample].logit = logit;
+        }
     }
 
     /// Logits of all samples from the [complete](Self::complete) inputs.
