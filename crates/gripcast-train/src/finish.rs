@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use super::comparison::Comparison;
 use super::conformal::add_conformal_scores;
 use super::lift;
-use super::metrics::{Summary, fit_temperature, youden_threshold};
+use super::metrics::{Summary, even_odds_threshold, fit_temperature};
 use super::ood::fit_tactile_reference;
 use super::run_folder::{EpochMetrics, RunFile, RunFolder};
 use super::samples::Samples;
@@ -170,7 +170,7 @@ pub(super) fn calibrate(logits: &[Logit]) -> (f64, f64) {
     let temperature = fit_temperature(&values, &stable).map_or(1.0, |fit| fit.temperature);
     let temperature = rounded(temperature);
     let scored: Vec<_> = logits.iter().map(|x| x.scored(temperature)).collect();
-    let threshold = rounded(youden_threshold(&scored).unwrap_or(0.5));
+    let threshold = rounded(even_odds_threshold(&scored).unwrap_or(0.5));
     let threshold = threshold.clamp(1.0 / ROUNDING, 1.0 - 1.0 / ROUNDING);
     (temperature, threshold)
 }

@@ -15,6 +15,7 @@ mod experiment;
 mod extents;
 mod finish;
 mod lift;
+mod logistic;
 pub mod metrics;
 mod ood;
 mod page;

@@ -7,7 +7,7 @@
 //! | item | purpose |
 //! | --- | --- |
 //! | [`Ranking`] | AUROC, average precision and curves, also of resamples |
-//! | [`ConfusionMatrix`], [`youden_threshold`] | decisions at a threshold, choice of the threshold |
+//! | [`ConfusionMatrix`], [`even_odds_threshold`] | decisions at a threshold, choice of the threshold |
 //! | [`brier_score`], [`log_loss`], [`ReliabilityTable`], [`ChanceCalibration`], [`BaseRateCalibration`], [`fit_temperature`] | calibration |
 //! | [`Summary`], [`summarise_groups`], [`SeedSummary`] | all metrics of a model, by object or category, over seeds |
 //! | [`Bootstrap`] | 95 % intervals over objects |
@@ -37,7 +37,7 @@ pub use ranking::{Ranking, auroc, average_precision};
 pub use seeds::{SeedSummary, Spread};
 pub use summary::{GroupSummary, Summary, summarise_groups};
 pub use temperature::{TemperatureFit, fit_temperature, probability_of_logit};
-pub use threshold::youden_threshold;
+pub use threshold::even_odds_threshold;
 
 /// Prediction and label of a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]

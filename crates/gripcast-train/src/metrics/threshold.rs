@@ -1,150 +1,107 @@
 //! Choice of the decision threshold. Choose it on validation data: metrics on the data it was
 //! chosen on are biased.
 
-use super::Scored;
-use super::curve::Tie;
-use super::ranking::Ranking;
+use super::{Scored, present};
+use crate::logistic::logistic_regression;
 
-/// Threshold that maximises Youden's J, the true minus the false positive rate (Youden 1950). None
-/// with one class only.
+/// Probabilities nearer to 0 or 1 count as this near.
+const LEAST: f64 = 1e-9;
+
+/// Threshold at which both labels are equally likely where both are equally frequent: where a
+/// logistic regression of the label on the predicted log-odds, both labels with the same weight,
+/// crosses even odds (Platt, 1999). None with one class only.
 ///
-/// Returns the middle of the best gap between predictions; among equally good gaps the widest, then
-/// the highest. A constant decision is only chosen if every gap is worse.
-pub fn youden_threshold(samples: &[Scored]) -> Option<f64> {
-    let cuts = cuts(&Ranking::new(samples).ties());
-    let all = cuts.last().filter(|all| all.stable * all.slip > 0)?;
-    let score = |cut: &Cut| {
-        i128::from(cut.stable) * i128::from(all.slip)
-            - i128::from(cut.slip) * i128::from(all.stable)
+/// It estimates the threshold of the best balanced accuracy from all samples. The best gap between
+/// predictions (Youden, 1950) depends on the few samples around it: of a few hundred it varies three
+/// times as much from one validation split to another, and its balanced accuracy is lower on others.
+///
+/// Predictions that do not rise with the label give a threshold above all of them.
+pub fn even_odds_threshold(samples: &[Scored]) -> Option<f64> {
+    let logit = |p: f64| {
+        let p = p.clamp(LEAST, 1.0 - LEAST);
+        (p / (1.0 - p)).ln()
     };
-    let better = |a: &Cut, b: &Cut| {
-        let by_score = score(a).cmp(&score(b));
-        by_score.then(a.width.total_cmp(&b.width)).is_gt()
-    };
-    let mut best: Option<&Cut> = None;
-    for cut in &cuts {
-        if best.is_none_or(|best| better(cut, best)) {
-            best = Some(cut);
-        }
+    let rows: Vec<(Vec<f64>, bool)> = present(samples)
+        .map(|sample| (vec![logit(sample.p_stable)], sample.stable))
+        .collect();
+    let weights = logistic_regression(&rows)?;
+    let crossing = -weights[1] / weights[0];
+    if weights[0] > 0.0 && crossing.is_finite() {
+        return Some(1.0 / (1.0 + (-crossing).exp()));
     }
-    best.map(|cut| cut.threshold)
-}
-
-/// A decision threshold with its counts.
-struct Cut {
-    threshold: f64,
-    /// Width of the gap around the threshold; 0 at the ends.
-    width: f64,
-    /// Stable samples predicted stable.
-    stable: u64,
-    /// Unstable samples predicted stable.
-    slip: u64,
-}
-
-/// Returns all thresholds, from none to all predicted stable; `ties` are in descending order.
-fn cuts(ties: &[Tie]) -> Vec<Cut> {
-    let Some(highest) = ties.first() else {
-        return Vec::new();
-    };
-    let mut cuts = vec![Cut {
-        threshold: highest.p_stable.next_up(),
-        width: 0.0,
-        stable: 0,
-        slip: 0,
-    }];
-    let (mut stable, mut slip) = (0, 0);
-    for (i, tie) in ties.iter().enumerate() {
-        stable += tie.stable;
-        slip += tie.slip;
-        let (threshold, width) = match ties.get(i + 1) {
-            Some(next) => (
-                middle(next.p_stable, tie.p_stable),
-                tie.p_stable - next.p_stable,
-            ),
-            None => (tie.p_stable.min(0.0), 0.0),
-        };
-        cuts.push(Cut {
-            threshold,
-            width,
-            stable,
-            slip,
-        });
-    }
-    cuts
-}
-
-/// Returns the middle; above `low` even for adjacent numbers.
-fn middle(low: f64, high: f64) -> f64 {
-    let middle = 0.5 * low + 0.5 * high;
-    if middle > low { middle } else { high }
+    let highest = present(samples).map(|sample| sample.p_stable);
+    highest.max_by(f64::total_cmp).map(f64::next_up)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::ConfusionMatrix;
-    use super::super::reference_test::{dyadic_samples, scored};
+    use gripcast_base::random::SeedStream;
+
+    use super::super::reference_test::scored;
+    use super::super::{ConfusionMatrix, Summary};
     use super::*;
 
-    fn youden(samples: &[Scored], threshold: f64) -> f64 {
-        let matrix = ConfusionMatrix::at(samples, threshold);
-        matrix.stable().recall.unwrap() - matrix.false_stable_rate().unwrap()
-    }
-
-    #[test]
-    fn single_best_gap_gives_its_middle() {
-        let samples = scored(&[(0.9, true), (0.8, true), (0.3, false), (0.1, false)]);
-        assert_eq!(youden_threshold(&samples), Some(0.5 * (0.3 + 0.8)));
-    }
-
-    #[test]
-    fn equally_good_gaps_give_the_widest() {
-        // J is 1/2 in the gaps 0.8..0.9 and 0.2..0.7.
-        let samples = scored(&[(0.9, true), (0.8, false), (0.7, true), (0.2, false)]);
-        assert_eq!(youden_threshold(&samples), Some(0.5 * (0.2 + 0.7)));
-        // Now the upper gap is wider.
-        let samples = scored(&[(0.9, true), (0.4, false), (0.3, true), (0.2, false)]);
-        assert_eq!(youden_threshold(&samples), Some(0.5 * (0.4 + 0.9)));
-    }
-
-    #[test]
-    fn equally_wide_gaps_give_the_highest() {
-        let samples = scored(&[(1.0, true), (0.75, false), (0.5, true), (0.25, false)]);
-        assert_eq!(youden_threshold(&samples), Some(0.875));
-    }
-
-    #[test]
-    fn chosen_threshold_maximises_youden() {
-        for seed in 0..20 {
-            let samples = dyadic_samples(50, seed);
-            let best = youden(&samples, youden_threshold(&samples).unwrap());
-            for step in 0..=1000 {
-                assert!(youden(&samples, f64::from(step) / 1000.0) < best + 1e-12);
+    /// Predictions of a model whose log-odds are off by `offset`; `stable` of the labels are stable.
+    fn samples(count: usize, seed: u64, offset: f64, stable: f64) -> Vec<Scored> {
+        let mut draw = SeedStream::named(seed, "threshold");
+        let sample = |_| {
+            let is_stable = draw.uniform() < stable;
+            let mean = if is_stable { 1.0 } else { -1.0 };
+            let normal: f64 = (0..12).map(|_| draw.uniform()).sum::<f64>() - 6.0;
+            let logit = 2.0 * (mean + normal) + offset;
+            Scored {
+                p_stable: 1.0 / (1.0 + (-logit).exp()),
+                stable: is_stable,
             }
+        };
+        (0..count).map(sample).collect()
+    }
+
+    #[test]
+    fn threshold_is_where_both_labels_are_equally_likely() {
+        // Two normal distributions of the log-odds with equal spread cross in the middle.
+        for (offset, stable) in [(0.0, 0.5), (1.5, 0.5), (-1.0, 0.8)] {
+            let found = even_odds_threshold(&samples(20_000, 1, offset, stable)).unwrap();
+            let logit = (found / (1.0 - found)).ln();
+            assert!((logit - offset).abs() < 0.08, "{offset} {stable}: {logit}");
         }
     }
 
     #[test]
-    fn misleading_predictions_are_all_slip() {
-        let samples = scored(&[(0.9, false), (0.1, true)]);
-        let threshold = youden_threshold(&samples).unwrap();
-        assert!(threshold > 0.9 && youden(&samples, threshold) == 0.0);
-        let constant = scored(&[(0.5, false), (0.5, true)]);
-        assert!(youden_threshold(&constant).unwrap() > 0.5);
+    fn few_validation_samples_suffice() {
+        let test = samples(20_000, 2, 0.7, 0.7);
+        let accuracy = |threshold: f64| Summary::new(&test, threshold).balanced_accuracy.unwrap();
+        let best = accuracy(1.0 / (1.0 + (-0.7_f64).exp()));
+        for seed in 3..13 {
+            let threshold = even_odds_threshold(&samples(150, seed, 0.7, 0.7)).unwrap();
+            assert!(accuracy(threshold) > best - 0.015, "{seed}");
+        }
     }
 
     #[test]
-    fn adjacent_numbers_are_separated() {
-        // The middle of the first pair is rounded down, that of the second up.
-        for low in [0.5_f64, 0.5_f64.next_up()] {
-            let samples = scored(&[(low.next_up(), true), (low, false)]);
-            assert_eq!(youden_threshold(&samples), Some(low.next_up()));
+    fn separable_labels_are_separated() {
+        let samples = scored(&[(0.9, true), (0.8, true), (0.3, false), (0.1, false)]);
+        let threshold = even_odds_threshold(&samples).unwrap();
+        assert!((0.3..=0.8).contains(&threshold), "{threshold}");
+    }
+
+    #[test]
+    fn misleading_predictions_are_all_slip() {
+        for samples in [
+            scored(&[(0.9, false), (0.1, true)]),
+            scored(&[(0.5, false), (0.5, true)]),
+            scored(&[(1.0, false), (0.0, true)]),
+        ] {
+            let threshold = even_odds_threshold(&samples).unwrap();
+            let matrix = ConfusionMatrix::at(&samples, threshold);
+            assert_eq!(matrix.true_stable + matrix.false_stable, 0, "{threshold}");
         }
     }
 
     #[test]
     fn single_class_has_no_threshold() {
         let stable = scored(&[(0.9, true), (f64::NAN, false)]);
-        assert_eq!(youden_threshold(&stable), None);
-        assert_eq!(youden_threshold(&[]), None);
+        assert_eq!(even_odds_threshold(&stable), None);
+        assert_eq!(even_odds_threshold(&[]), None);
     }
 }
