@@ -161,7 +161,7 @@ fn all_seeds(
         });
         let finished = finish(&folder, &file, &args.data, &name, &|_| {})?;
         runs.push(run_report(seed, &folder, &trained, &finished));
-        let accuracy = trained.best.validation_accuracy;
+        let accuracy = finished.validation.balanced_accuracy.unwrap_or(f64::NAN);
         if best.as_ref().is_none_or(|(max, _)| accuracy > *max) {
             best = Some((accuracy, finished));
         }
