@@ -105,6 +105,36 @@ fn train(data: &Path, out: &Path) -> Command {
     command
 }
 
+#[test]
+fn seed_with_best_printed_validation_accuracy_is_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    for (part, rows) in [("train", 8), ("validation", 20)] {
+        // Labels that contact does not explain, so that the seeds differ.
+        let row = |n| {
+            let mut row = row(part, n, n % 4 < 2);
+            if n % 5 == 0 {
+                row.facts.outcome = ShardOutcome::Slip;
+            }
+            row
+        };
+        write_part(&data, part, (0..rows).map(row));
+    }
+    let out = dir.path().join("run");
+    let mut command = train(&data, &out);
+    command.args(["--seeds", "4"]);
+    let report = json(&succeed(&mut command));
+    let runs = report["runs"].as_array().unwrap();
+    let accuracy = |run: &Value| run["validation"]["balanced_accuracy"].as_f64().unwrap();
+    let accuracies: Vec<f64> = runs.iter().map(accuracy).collect();
+    let best = accuracies.iter().copied().fold(0.0, f64::max);
+    assert!(accuracies.iter().any(|x| *x < best), "{accuracies:?}");
+    let seed = accuracies.iter().position(|x| *x == best).unwrap();
+    let model = runs[seed]["model"].as_str().unwrap();
+    let kept = fs::read(out.join("model.onnx")).unwrap();
+    assert_eq!(kept, fs::read(model).unwrap(), "{accuracies:?}");
+}
+
 /// Figures of the epochs, without how fast they were.
 fn metrics(out: &Path) -> Vec<Value> {
     let text = fs::read_to_string(RunFolder::at(out).metrics().shown()).unwrap_or_default();
