@@ -12,8 +12,8 @@ const LEAST: f64 = 1e-9;
 /// crosses even odds (Platt, 1999). None with one class only.
 ///
 /// It estimates the threshold of the best balanced accuracy from all samples. The best gap between
-/// predictions (Youden, 1950) depends on the few samples around it: of a few hundred it varies three
-/// times as much from one validation split to another, and its balanced accuracy is lower on others.
+/// predictions (Youden, 1950) depends on the few samples around it: it varies two to three times as
+/// much from one validation split to another, and its balanced accuracy is lower on other samples.
 ///
 /// Predictions that do not rise with the label give a threshold above all of them.
 pub fn even_odds_threshold(samples: &[Scored]) -> Option<f64> {
