@@ -53,7 +53,7 @@ pub(crate) struct Args {
     /// Random seed
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Number of runs with consecutive seeds; the best on the validation split is kept
+    /// Number of runs with consecutive seeds; the best by validation AUROC is kept
     #[arg(long, value_name = "N", default_value_t = 1,
         value_parser = clap::value_parser!(u64).range(1..=100))]
     seeds: u64,
@@ -161,9 +161,9 @@ fn all_seeds(
         });
         let finished = finish(&folder, &file, &args.data, &name, &|_| {})?;
         runs.push(run_report(seed, &folder, &trained, &finished));
-        let accuracy = finished.validation.balanced_accuracy.unwrap_or(f64::NAN);
-        if best.as_ref().is_none_or(|(max, _)| accuracy > *max) {
-            best = Some((accuracy, finished));
+        let auroc = finished.validation.auroc.unwrap_or(f64::NEG_INFINITY);
+        if best.as_ref().is_none_or(|(max, _)| auroc > *max) {
+            best = Some((auroc, finished));
         }
         on_progress(TrainingNews::Stage("training"));
     }
@@ -211,12 +211,12 @@ fn text(report: &Value) -> String {
     for run in report["runs"].as_array().into_iter().flatten() {
         let validation = &run["validation"];
         lines.push(format!(
-            "seed {}: best epoch {} of {}, validation accuracy {}, AUROC {}, ECE {}",
+            "seed {}: best epoch {} of {}, validation AUROC {}, accuracy {}, ECE {}",
             run["seed"],
             run["best_epoch"],
             run["epochs"],
-            number(&validation["balanced_accuracy"]),
             number(&validation["auroc"]),
+            number(&validation["balanced_accuracy"]),
             number(&validation["ece"]),
         ));
         lines.extend(comparison(run));
@@ -241,18 +241,18 @@ fn comparison(run: &Value) -> Vec<String> {
     let before = &comparison["start_validation"];
     let mut lines = vec![
         format!(
-            "{start} on the same {} lifts of {} objects: validation accuracy {}, AUROC {}, ECE {}",
+            "{start} on the same {} lifts of {} objects: validation AUROC {}, accuracy {}, ECE {}",
             comparison["lifts"],
             comparison["objects"],
-            number(&before["balanced_accuracy"]),
             number(&before["auroc"]),
+            number(&before["balanced_accuracy"]),
             number(&before["ece"]),
         ),
         format!(
-            "difference [95 % interval over objects], both calibrated on this split: accuracy {}, \
-             AUROC {}",
-            difference("balanced_accuracy"),
+            "difference [95 % interval over objects], both calibrated on this split: AUROC {}, \
+             accuracy {}",
             difference("auroc"),
+            difference("balanced_accuracy"),
         ),
         comparison["advice"].as_str().unwrap_or_default().to_owned(),
     ];

@@ -117,8 +117,8 @@ impl LiveLift {
 mod tests {
     use super::*;
     use gripcast_imaging::DepthImage;
-    use gripcast_nn::predict::LiftEstimator;
-    use gripcast_nn::predict::lift::{FEATURES, FEATURES_WITH_OBJECT, MotionNetwork};
+    use gripcast_nn::predict::lift::FEATURES;
+    use gripcast_nn::predict::{BoostedTrees, LiftEstimator, TreeNode};
 
     fn gel(level: f64) -> GelMotion {
         GelMotion {
@@ -132,20 +132,19 @@ mod tests {
     /// Reads the smaller ratio of the levels.
     fn head() -> LiftHead {
         LiftHead {
-            gels: estimator(FEATURES, 0, [4.0, -2.0]),
+            gels: estimator(0, 0.5, [-2.0, 2.0]),
             with_object: None,
         }
     }
 
-    fn estimator(features: usize, feature: usize, output: [f64; 2]) -> LiftEstimator {
-        let mut weights = vec![0.0; features + 1];
-        weights[feature] = 1.0;
+    /// Reads one feature: log-odds below a limit and from it on.
+    fn estimator(feature: usize, limit: f32, values: [f32; 2]) -> LiftEstimator {
+        let [below, above] = values.map(TreeNode::Leaf);
+        let split = TreeNode::Split(feature as u16, limit, 1, 2);
         LiftEstimator {
-            network: MotionNetwork {
-                mean: vec![0.0; features],
-                std: vec![1.0; features],
-                hidden: vec![weights],
-                output: output.to_vec(),
+            trees: BoostedTrees {
+                bias: 0.0,
+                trees: vec![vec![split, below, above]],
             },
             prior_weight: 1.0,
             motion_weight: 1.0,
@@ -176,7 +175,7 @@ mod tests {
     #[test]
     fn motion_of_the_object_counts_while_it_is_new() {
         let head = LiftHead {
-            with_object: Some(estimator(FEATURES_WITH_OBJECT, FEATURES, [-2.0, 1.0])),
+            with_object: Some(estimator(FEATURES, 2.0, [1.0, -5.0])),
             ..head()
         };
         // A plate between the fingers, above a table.

@@ -7,6 +7,7 @@
 
 mod augment;
 mod batches;
+mod boosting;
 mod comparison;
 mod conformal;
 mod duplicates;

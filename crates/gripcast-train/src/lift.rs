@@ -2,26 +2,30 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::boosting::{BoostingSettings, boosted_trees};
 use super::evaluate::{SEED, grouped};
 use super::metrics::{Bootstrap, Interval, Scored, even_odds_threshold};
 use super::resampled::ResampledMetrics;
 use super::samples::{SampleFacts, Samples};
 use super::validate::Logit;
 use gripcast_base::linear::NormalEquations;
-use gripcast_base::random::SeedStream;
+use gripcast_nn::predict::BoostedTrees;
 use gripcast_nn::predict::lift::{
-    LiftEstimator, LiftHead, LiftVerdict, MotionNetwork, features_with_object, gel_features,
-    is_lost,
+    LiftEstimator, LiftHead, LiftVerdict, features_with_object, gel_features, is_lost,
 };
 use gripcast_shear::{LiftImage, LiftMotion};
 
 /// Rise of the gripper between the images of a simulated lift, m.
 const STEP_M: f64 = 8e-4;
-/// Hidden units of the motion network.
-const HIDDEN: usize = 16;
-const EPOCHS: usize = 300;
-const LEARNING_RATE: f64 = 1e-2;
-const WEIGHT_DECAY: f64 = 1e-3;
+/// Chosen on the validation splits of plans 2037 and 2041.
+const SETTINGS: BoostingSettings = BoostingSettings {
+    trees: 200,
+    learning_rate: 0.05,
+    leaves: 15,
+    min_leaf_weight: 10.0,
+    l2: 5.0,
+    feature_fraction: 0.5,
+};
 /// Newton steps of the combination.
 const NEWTON_STEPS: usize = 25;
 /// Ridge penalty of the combination, for predictions that say nothing.
@@ -162,19 +166,19 @@ fn fit_estimator(
             return None;
         }
     }
-    let network = train_network(&rows(train, reads), seed)?;
+    let trees = train_trees(&rows(train, reads), seed)?;
     let samples: Vec<(f64, Vec<f64>, bool)> = logits
         .iter()
         .zip(validation.facts())
         .filter_map(|(logit, facts)| {
             let motion = reads.sequence(facts.lift_motion.as_ref()?);
-            let motion = motion.iter().map(|features| network.logit(features));
+            let motion = motion.iter().map(|features| trees.score(features));
             Some((logit.logit / temperature, motion.collect(), facts.is_stable))
         })
         .collect();
     let [prior_weight, motion_weight, offset] = combine(&samples)?;
     let mut estimator = LiftEstimator {
-        network,
+        trees,
         prior_weight,
         motion_weight,
         offset,
@@ -206,93 +210,12 @@ fn fit_estimator(
     Some(estimator)
 }
 
-/// Trains the network on the motion by full-batch Adam (Kingma and Ba, 2015).
-fn train_network(rows: &[Row], seed: u64) -> Option<MotionNetwork> {
-    let total: f64 = rows.iter().map(|row| row.weight).sum();
-    let mean_of = |value: &dyn Fn(&Row) -> f64| {
-        let sum: f64 = rows.iter().map(|row| row.weight * value(row)).sum();
-        sum / total
-    };
-    let features = rows.first()?.features.len();
-    let mean: Vec<f64> = (0..features)
-        .map(|i| mean_of(&|row| row.features[i]))
-        .collect();
-    let std: Vec<f64> = (0..features)
-        .map(|i| {
-            mean_of(&|row| (row.features[i] - mean[i]).powi(2))
-                .sqrt()
-                .max(1e-3)
-        })
-        .collect();
-    let mut draw = SeedStream::named(seed, "lift");
-    let bound = (6.0 / features as f64).sqrt();
-    let hidden = (0..HIDDEN).map(|_| {
-        let weights = (0..features).map(|_| draw.between(-bound, bound));
-        let mut weights: Vec<f64> = weights.collect();
-        weights.push(0.0);
-        weights
-    });
-    let mut network = MotionNetwork {
-        mean,
-        std,
-        hidden: hidden.collect(),
-        output: Vec::new(),
-    };
-    let bound = (3.0 / HIDDEN as f64).sqrt();
-    network.output = (0..HIDDEN).map(|_| draw.between(-bound, bound)).collect();
-    network.output.push(0.0);
-    let inputs: Vec<Vec<f64>> = rows
-        .iter()
-        .map(|row| network.standardised(&row.features).collect())
-        .collect();
-    let count = HIDDEN * (features + 1) + HIDDEN + 1;
-    let (mut first, mut second) = (vec![0.0; count], vec![0.0; count]);
-    for step in 1..=EPOCHS {
-        let gradient = gradient(&network, rows, &inputs, total);
-        let rate = LEARNING_RATE * (1.0 - (step - 1) as f64 / EPOCHS as f64);
-        let [fraction, square_fraction] = [0.9_f64, 0.999].map(|b| 1.0 - b.powi(step as i32));
-        let parameters = network
-            .hidden
-            .iter_mut()
-            .flatten()
-            .chain(&mut network.output);
-        let moments = first.iter_mut().zip(&mut second).zip(gradient);
-        for (parameter, ((first, second), slope)) in parameters.zip(moments) {
-            *first += 0.1 * (slope - *first);
-            *second += 0.001 * (slope * slope - *second);
-            let direction = *first / fraction / ((*second / square_fraction).sqrt() + 1e-8);
-            *parameter -= rate * (direction + WEIGHT_DECAY * *parameter);
-        }
-    }
-    let usable = network.output.iter().all(|x| x.is_finite());
-    usable.then_some(network)
-}
-
-/// Gradient of the mean cross entropy in the order of the parameters.
-fn gradient(network: &MotionNetwork, rows: &[Row], inputs: &[Vec<f64>], total: f64) -> Vec<f64> {
-    let features = network.mean.len();
-    let width = features + 1;
-    let mut gradient = vec![0.0; HIDDEN * width + HIDDEN + 1];
-    for (row, input) in rows.iter().zip(inputs) {
-        let hidden = network.hidden(&row.features);
-        let sum: f64 = network.output.iter().zip(&hidden).map(|(w, x)| w * x).sum();
-        let logit = sum + network.output[HIDDEN];
-        let target = f64::from(u8::from(row.is_stable));
-        let slope = row.weight / total * (1.0 / (1.0 + (-logit).exp()) - target);
-        for (unit, value) in hidden.iter().enumerate() {
-            gradient[HIDDEN * width + unit] += slope * value;
-            if *value > 0.0 {
-                let back = slope * network.output[unit];
-                let of_unit = &mut gradient[unit * width..][..width];
-                for (gradient, input) in of_unit.iter_mut().zip(input) {
-                    *gradient += back * input;
-                }
-                of_unit[features] += back;
-            }
-        }
-        gradient[HIDDEN * width + HIDDEN] += slope;
-    }
-    gradient
+/// Trains boosted trees on the rows.
+fn train_trees(rows: &[Row], seed: u64) -> Option<BoostedTrees> {
+    let features: Vec<&[f64]> = rows.iter().map(|row| &row.features[..]).collect();
+    let labels: Vec<bool> = rows.iter().map(|row| row.is_stable).collect();
+    let weights: Vec<f64> = rows.iter().map(|row| row.weight).collect();
+    boosted_trees(&features, &labels, &weights, &SETTINGS, seed)
 }
 
 /// Fits weights of the log-odds before the lift and of the motion, and an offset, by Newton steps

@@ -96,7 +96,7 @@ pub enum TrainEvent {
 pub struct Trained {
     /// Number of epochs.
     pub epochs: u32,
-    /// Epoch with the best validation accuracy, from 1.
+    /// Epoch with the best AUROC on the validation split, from 1.
     pub best_epoch: u32,
     /// Metrics of that epoch.
     pub best: EpochMetrics,
@@ -484,7 +484,7 @@ impl<'a> Training<'a> {
             if is_trained && self.position.best.is_none_or(|best| metrics.beats(best)) {
                 let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.running_stats];
                 state::save(&self.folder.best(), &metrics, &arrays)?;
-                self.position.best = Some([metrics.validation_accuracy, metrics.validation_loss]);
+                self.position.best = Some(metrics.score());
                 self.position.best_epoch = Some(metrics.epoch);
             }
             self.position.epoch = metrics.epoch;

@@ -13,7 +13,7 @@ use gripcast_nn::Network;
 use gripcast_nn::predict::contract::RgbNormalisation;
 
 /// Version of `run.json` and of the checkpoints.
-pub(super) const VERSION: u64 = 3;
+pub(super) const VERSION: u64 = 4;
 /// Lock file of a run.
 const LOCK: &str = ".lock";
 
@@ -71,10 +71,16 @@ pub struct EpochMetrics {
 }
 
 impl EpochMetrics {
-    /// Returns whether it is better than an epoch with this validation accuracy and loss.
-    pub fn beats(&self, [accuracy, loss]: [f64; 2]) -> bool {
-        self.validation_accuracy > accuracy
-            || (self.validation_accuracy == accuracy && self.validation_loss < loss)
+    /// AUROC and loss on the validation split, by which epochs are compared.
+    pub fn score(&self) -> [f64; 2] {
+        let auroc = self.validation_auroc.unwrap_or(f64::NEG_INFINITY);
+        [auroc, self.validation_loss]
+    }
+
+    /// Returns whether it is better than an epoch with this AUROC and loss.
+    pub fn beats(&self, [auroc, loss]: [f64; 2]) -> bool {
+        let own = self.score();
+        own[0] > auroc || (own[0] == auroc && own[1] < loss)
     }
 }
 

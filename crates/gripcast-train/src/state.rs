@@ -21,9 +21,9 @@ pub(super) struct Position {
     pub(super) loss_sum: f64,
     /// Optimiser steps.
     pub(super) optimizer_steps: u64,
-    /// Epoch with the best validation accuracy, from 1.
+    /// Epoch with the best AUROC on the validation split, from 1.
     pub(super) best_epoch: Option<u32>,
-    /// Validation accuracy and loss of that epoch.
+    /// Its [score](super::EpochMetrics::score).
     pub(super) best: Option<[f64; 2]>,
 }
 

@@ -185,10 +185,10 @@ fn now(status: &TrainingStatus, palette: Palette) -> Line<'static> {
 fn best(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     let text = status.best().map_or("–".to_owned(), |best| {
         format!(
-            "epoch {} · accuracy {:.3} · AUROC {} · loss {:.3}",
+            "epoch {} · AUROC {} · accuracy {:.3} · loss {:.3}",
             best.epoch,
-            best.validation_accuracy,
             figure(best.validation_auroc),
+            best.validation_accuracy,
             best.validation_loss,
         )
     });
@@ -229,7 +229,7 @@ fn keys(palette: Palette) -> Line<'static> {
 /// Returns a one-line summary.
 fn tiny(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     let (epoch, [step, steps]) = status.epoch();
-    let best = figure(status.best().map(|best| best.validation_accuracy));
+    let best = figure(status.best().and_then(|best| best.validation_auroc));
     let text = format!(
         "{epoch}/{} {step}/{steps} best {best}",
         status.settings.total_epochs()

@@ -50,24 +50,24 @@ pub(super) fn losses(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, p
     plot.draw(buffer, area, right_edge(status), palette);
 }
 
-/// Draws accuracy and AUROC on the validation split.
+/// Draws AUROC and accuracy on the validation split.
 pub(super) fn accuracies(
     buffer: &mut Buffer,
     area: Rect,
     status: &TrainingStatus,
     palette: Palette,
 ) {
-    let first = curve(status, |e| Some(e.validation_accuracy));
-    let second = curve(status, |e| e.validation_auroc);
+    let first = curve(status, |e| e.validation_auroc);
+    let second = curve(status, |e| Some(e.validation_accuracy));
     let values = first.iter().chain(&second).map(|(_, y)| *y);
     let min = values.fold(0.5, f64::min).max(0.0);
     let best = status.best();
-    let marked = best.map(|e| (f64::from(e.epoch), e.validation_accuracy));
+    let marked = best.and_then(|e| Some((f64::from(e.epoch), e.validation_auroc?)));
     let plot = Plot {
         title: "VALIDATION",
         marked: marked.into_iter().collect(),
-        first: ("accuracy", first),
-        second: ("AUROC", second),
+        first: ("AUROC", first),
+        second: ("accuracy", second),
         trace: Vec::new(),
         y: [(10.0 * min).floor() / 10.0, 1.0],
     };

@@ -123,7 +123,7 @@ impl TrainingStatus {
             let best = self.best().map(|best| {
                 let auroc = figure(best.validation_auroc);
                 format!(
-                    "seed {}: best epoch {} of {}, validation accuracy {:.3}, AUROC {auroc}",
+                    "seed {}: best epoch {} of {}, validation AUROC {auroc}, accuracy {:.3}",
                     self.settings.seed,
                     best.epoch,
                     self.epochs.len(),
@@ -190,7 +190,7 @@ impl TrainingStatus {
     /// Returns the epoch of the best checkpoint.
     pub(super) fn best(&self) -> Option<&EpochMetrics> {
         self.epochs.iter().reduce(|best, next| {
-            let is_better = next.beats([best.validation_accuracy, best.validation_loss]);
+            let is_better = next.beats(best.score());
             if is_better { next } else { best }
         })
     }

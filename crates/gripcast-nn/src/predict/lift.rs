@@ -1,7 +1,7 @@
 //! Verdict in the lift: the probability that a grasp holds, from what the gels and the wrist camera
 //! show in the first millimetres.
 //!
-//! The prediction before the lift is combined with a small network on the motion since the grasp:
+//! The prediction before the lift is combined with boosted trees on the motion since the grasp:
 //! how far the skin is drawn, how much contact and force are left, how much of the contact slips,
 //! and, with a depth camera, how far the object has fallen behind the gripper. It does not know how
 //! far the gripper has risen; nothing measures that on a hand-held gripper.
@@ -9,6 +9,7 @@
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
+use super::BoostedTrees;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{ObjectMotion, TactileDifference};
 use gripcast_shear::{ExpectedMarkers, GelMotion, LiftImage, ShearTracker};
@@ -97,66 +98,12 @@ pub fn is_lost(before: &LiftImage, previous: &LiftImage, now: &LiftImage) -> boo
         })
 }
 
-/// A dense network with one hidden layer on standardised features.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MotionNetwork {
-    /// Mean of each feature.
-    pub mean: Vec<f64>,
-    /// Standard deviation of each feature.
-    pub std: Vec<f64>,
-    /// Weights of each hidden unit, the last its bias.
-    pub hidden: Vec<Vec<f64>>,
-    /// Weights of the output, the last its bias.
-    pub output: Vec<f64>,
-}
-
-impl MotionNetwork {
-    /// Activations of the hidden units (ReLU).
-    pub fn hidden(&self, features: &[f64]) -> Vec<f64> {
-        let standardised: Vec<f64> = self.standardised(features).collect();
-        let units = self.hidden.iter().map(|weights| {
-            let sum: f64 = weights.iter().zip(&standardised).map(|(w, x)| w * x).sum();
-            (sum + weights.last().unwrap_or(&0.0)).max(0.0)
-        });
-        units.collect()
-    }
-
-    /// Features with mean 0 and standard deviation 1.
-    pub fn standardised(&self, features: &[f64]) -> impl Iterator<Item = f64> {
-        let scales = self.mean.iter().zip(&self.std);
-        let values = features.iter().zip(scales);
-        values
-            .map(|(x, (mean, std))| (x - mean) / std)
-            .collect::<Vec<_>>()
-            .into_iter()
-    }
-
-    /// Log-odds that the grasp holds.
-    pub fn logit(&self, features: &[f64]) -> f64 {
-        let hidden = self.hidden(features);
-        let sum: f64 = self.output.iter().zip(&hidden).map(|(w, x)| w * x).sum();
-        sum + self.output.last().unwrap_or(&0.0)
-    }
-
-    fn is_usable(&self, features: usize) -> bool {
-        let rows = [&self.mean, &self.std, &self.output];
-        let all = rows.into_iter().chain(&self.hidden).flatten();
-        self.mean.len() == features
-            && self.std.len() == features
-            && self.std.iter().all(|std| *std > 0.0)
-            && self.hidden.iter().all(|row| row.len() == features + 1)
-            && self.output.len() == self.hidden.len() + 1
-            && all.into_iter().all(|x| x.is_finite())
-    }
-}
-
 /// Probability that a grasp holds from one set of features.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LiftEstimator {
-    /// Network on the motion.
-    pub network: MotionNetwork,
+    /// Log-odds from the motion.
+    pub trees: BoostedTrees,
     /// Weight of the log-odds before the lift.
     pub prior_weight: f64,
     /// Weight of the log-odds of the motion.
@@ -173,7 +120,7 @@ impl LiftEstimator {
     fn is_usable(&self, features: usize) -> bool {
         let weights = [self.prior_weight, self.motion_weight, self.offset];
         let limits = [self.threshold, self.alarm];
-        self.network.is_usable(features)
+        self.trees.is_usable(features)
             && weights.iter().all(|x| x.is_finite())
             && limits.iter().all(|p| (0.0..=1.0).contains(p))
     }
@@ -251,7 +198,7 @@ impl LiftHead {
         let with_object = with_object.zip(features_with_object(before, previous, now));
         let (estimator, features) =
             with_object.unwrap_or_else(|| (&self.gels, gel_features(before, previous, now)));
-        let p_stable = estimator.probability(prior, estimator.network.logit(&features));
+        let p_stable = estimator.probability(prior, estimator.trees.score(&features));
         let is_lost = is_lost(before, previous, now);
         let p_stable = if is_lost {
             p_stable.min(P_LOST)
@@ -328,22 +275,15 @@ mod tests {
     fn head() -> LiftHead {
         // Reads the smaller ratio of the levels.
         LiftHead {
-            gels: estimator(FEATURES, 0),
+            gels: estimator(0),
             with_object: None,
         }
     }
 
     /// Reads one feature.
-    fn estimator(features: usize, feature: usize) -> LiftEstimator {
-        let mut weights = vec![0.0; features + 1];
-        weights[feature] = 1.0;
+    fn estimator(feature: usize) -> LiftEstimator {
         LiftEstimator {
-            network: MotionNetwork {
-                mean: vec![0.0; features],
-                std: vec![1.0; features],
-                hidden: vec![weights],
-                output: vec![4.0, -2.0],
-            },
+            trees: BoostedTrees::stump(feature as u16, 0.5, -2.0, 2.0),
             prior_weight: 1.0,
             motion_weight: 1.0,
             offset: 0.0,
@@ -363,9 +303,11 @@ mod tests {
             |head: &LiftHead, drop_mm| head.verdict(0.5, &before, &before, &dropped(drop_mm));
         let seen = Some(3.0);
         assert_eq!(verdict(&head, seen), verdict(&head, None));
-        let mut estimator = estimator(FEATURES_WITH_OBJECT, FEATURES);
-        (estimator.network.output, estimator.threshold) = (vec![-1.0, 0.0], 0.4);
-        head.with_object = Some(estimator);
+        head.with_object = Some(LiftEstimator {
+            trees: BoostedTrees::stump(FEATURES as u16, 1.0, 0.0, -3.0),
+            threshold: 0.4,
+            ..estimator(FEATURES)
+        });
         let [held, lost] = [0.0, 3.0].map(|drop_mm| verdict(&head, Some(drop_mm)));
         assert!((held.p_stable - 0.5).abs() < 1e-12 && held.is_stable);
         assert!(lost.is_slipping && lost.threshold == 0.4);
@@ -452,12 +394,12 @@ mod tests {
     #[test]
     fn metadata_is_read_back_and_damage_refused() {
         let mut head = head();
-        head.with_object = Some(estimator(FEATURES_WITH_OBJECT, 0));
+        head.with_object = Some(estimator(FEATURES));
         let text = head.to_metadata();
         assert_eq!(LiftHead::from_metadata(&text).unwrap(), head);
         for damaged in [
-            text.replacen("4.0", "null", 1),
-            text.replacen("[0.0,", "[", 1),
+            text.replacen("-2.0", "null", 1),
+            text.replacen("[0,0.5,", "[40,0.5,", 1),
             text.replace("\"alarm\":0.2", "\"alarm\":2.0"),
             text.replace("with_object", "with_depth"),
             "{}".to_owned(),

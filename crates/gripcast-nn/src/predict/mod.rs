@@ -10,6 +10,7 @@
 mod adaptation;
 pub mod baseline;
 mod benchmark;
+mod boosted_trees;
 mod builtin;
 pub mod conformal;
 mod constants;
@@ -31,6 +32,7 @@ mod tensors;
 pub use adaptation::{ADAPTATION_STRENGTH, Adaptation, BASE_RATE, training_base_rate};
 pub use baseline::BASELINE;
 pub use benchmark::{PredictTimings, SelfCheck, measure, self_check};
+pub use boosted_trees::{BoostedTrees, TreeNode};
 pub use builtin::{SHIPPED, model_bytes};
 pub use conformal::{ConformalLimits, ConformalScores, PredictionSet};
 pub use contract::ModelContract;
