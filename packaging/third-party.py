@@ -56,7 +56,8 @@ def main():
     print("Libraries that are compiled into gripcast, and their licences. Beside them:")
     print("the Rust standard library, MIT OR Apache-2.0, https://www.rust-lang.org")
     for package in compiled_crates():
-        print(f"\n{RULE}\n{package['name']} {package['version']}: {package['license']}")
+        licence = package["license"] or "licence file below"
+        print(f"\n{RULE}\n{package['name']} {package['version']}: {licence}")
         if package["repository"]:
             print(package["repository"])
         files = licence_files(package)
