@@ -184,9 +184,8 @@ fn verdict_in_the_lift_follows_held_and_lost_grasps() {
     }
     println!("{right:?}");
     let [gels, with_object] = right;
-    assert!(gels[&2].len() >= 7 && gels[&10].len() >= 7, "{gels:?}");
-    assert!(
-        with_object.values().all(|right| right.len() >= 7),
-        "{with_object:?}"
-    );
+    for right in [gels, with_object] {
+        assert!(right[&2].len() >= 6 && right[&5].len() >= 6, "{right:?}");
+        assert!(right[&10].len() >= 7, "{right:?}");
+    }
 }
