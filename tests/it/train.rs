@@ -52,6 +52,7 @@ fn row(part: &str, number: u64, is_stable: bool) -> ShardRow {
         crop_profile: "full-v1".to_owned(),
         geometry: None,
         lift: None,
+        contact: None,
     };
     let gel = |side: u64, contact: f32| {
         let image = synthetic_gel(

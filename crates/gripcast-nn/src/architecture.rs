@@ -6,9 +6,14 @@ use super::conv::ConvShape;
 use super::extents::EXTENT_UNITS;
 pub use crate::predict::contract::GEOMETRY;
 use crate::predict::contract::{InputName, Modality};
+use gripcast_shear::ContactMaps;
 
 /// Height, width and channels of the input images.
 pub const IMAGE: [usize; 3] = [240, 320, 3];
+
+/// Numbers of a cell of a contact map as the touch encoder learns it: displacement into the gel, its
+/// slope to the right and down, and the displacement to the right and down.
+pub const CONTACT_CHANNELS: usize = 5;
 
 /// Settings of a convolution with batch normalisation and ReLU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -180,6 +185,13 @@ impl Architecture {
         self.convolutions.iter().map(shape).collect()
     }
 
+    /// Whether the last feature map of the touch encoder has the cells of [`ContactMaps`], so that it
+    /// can learn them.
+    pub fn has_contact(&self) -> bool {
+        let [height, width, _] = self.shapes().last().map_or(IMAGE, ConvShape::output);
+        self.geometry && [height, width] == ContactMaps::CELLS
+    }
+
     /// Height, width and channels after pooling; incomplete windows are dropped.
     pub fn pooled(&self) -> [usize; 3] {
         let [height, width, channels] = self.shapes().last().map_or(IMAGE, ConvShape::output);
@@ -313,6 +325,9 @@ pub struct Layout {
     pub(super) encoders: Vec<EncoderParams>,
     /// Those of all inputs first.
     pub(super) heads: Vec<HeadParams>,
+    /// Weight and bias of the contact map at each cell of the touch encoder's last feature map;
+    /// only training has it.
+    pub(super) contact: Option<[Param; 2]>,
     params: Vec<Param>,
     running_stats_len: usize,
 }
@@ -392,9 +407,19 @@ impl Layout {
             }
         });
         let heads: Vec<HeadParams> = heads.collect();
+        let has_contact = architecture.has_contact() && EncoderKind::Touch.is_in(modality);
+        let channels = architecture.convolutions.last().map_or(0, |c| c.channels);
+        let contact = has_contact.then(|| {
+            let weight = [channels, CONTACT_CHANNELS];
+            [
+                add("contact.projection.weight".to_owned(), weight),
+                add("contact.projection.bias".to_owned(), [1, CONTACT_CHANNELS]),
+            ]
+        });
         Self {
             encoders,
             heads,
+            contact,
             params,
             running_stats_len,
         }

@@ -17,6 +17,9 @@ pub struct Batch {
     /// Geometry of each sample, [`GEOMETRY`](super::GEOMETRY) values in units of 0.03 m, NaN where unknown; empty if
     /// no sample has one.
     pub geometry: Vec<f32>,
+    /// Contact maps of the tactile differences in their order, cells by row and column with
+    /// [`CONTACT_CHANNELS`](super::CONTACT_CHANNELS) values each, NaN where unknown; empty if no sample has one.
+    pub contact: Vec<f32>,
     /// Target: 1 stable, 0 slip.
     pub targets: Vec<f32>,
     /// Weight of each sample's loss.

@@ -30,7 +30,7 @@ pub mod predict;
 mod product;
 
 pub use adam::{Adam, linear_schedule};
-pub use architecture::{Architecture, ConvSpec, GEOMETRY, IMAGE, Layout, Param};
+pub use architecture::{Architecture, CONTACT_CHANNELS, ConvSpec, GEOMETRY, IMAGE, Layout, Param};
 pub use batch::{Batch, Outputs};
 pub use export::to_onnx;
 pub use extents::{EXTENT_UNITS, ExtentHead, extent_units};

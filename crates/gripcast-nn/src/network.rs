@@ -25,6 +25,11 @@ const GEOMETRY_WEIGHT: f64 = 3.0;
 /// out of view.
 const GEOMETRY_KNEE: f64 = 0.5;
 
+/// Weight of the contact maps' smooth L1 loss relative to the cross entropy.
+const CONTACT_WEIGHT: f64 = 1.0;
+/// Error of a contact map's value at which its loss becomes linear.
+const CONTACT_KNEE: f64 = 0.5;
+
 /// Inputs of a training step besides the data.
 #[derive(Clone, Debug, Default)]
 pub struct Step {
@@ -59,7 +64,10 @@ pub enum Scope {
     Head,
     /// The encoders of camera images, for the geometry alone.
     Geometry,
-    /// The encoder of tactile differences and the head that reads it alone.
+    /// The encoder of tactile differences, for the contact maps alone.
+    Contact,
+    /// The encoder of tactile differences, for the labels and contact maps, and the head that reads
+    /// it alone.
     Touch,
 }
 
@@ -71,13 +79,25 @@ impl Scope {
         let heads = layout.heads.iter();
         let heads = heads.filter(move |head| self.trains_head(head));
         let heads = heads.flat_map(HeadParams::params);
-        encoders.flat_map(EncoderParams::params).chain(heads)
+        let contact = layout.contact.iter().filter(move |_| self.trains_contact());
+        // The contact maps are read before the projection.
+        let reads_all = self != Self::Contact;
+        let encoders = encoders.flat_map(move |encoder| {
+            let projection = encoder.projection.iter().filter(move |_| reads_all);
+            encoder.convolutions.iter().flatten().chain(projection)
+        });
+        encoders.chain(heads).chain(contact.flatten())
+    }
+
+    /// Whether it changes what reads the contact maps.
+    fn trains_contact(self) -> bool {
+        matches!(self, Self::All | Self::Contact | Self::Touch)
     }
 
     /// Whether it changes a head.
     fn trains_head(self, head: &HeadParams) -> bool {
         match self {
-            Self::Geometry => false,
+            Self::Geometry | Self::Contact => false,
             Self::All => !head.reads_extents,
             Self::Touch => head.modality == Modality::T,
             Self::FixedStats | Self::Head => true,
@@ -90,7 +110,7 @@ impl Scope {
             Self::All | Self::FixedStats => true,
             Self::Head => false,
             Self::Geometry => kind != EncoderKind::Touch,
-            Self::Touch => kind == EncoderKind::Touch,
+            Self::Contact | Self::Touch => kind == EncoderKind::Touch,
         }
     }
 
@@ -103,7 +123,7 @@ impl Scope {
     fn uses(self, kind: EncoderKind) -> bool {
         match self {
             Self::All | Self::FixedStats | Self::Head => true,
-            Self::Geometry | Self::Touch => self.trains(kind),
+            Self::Geometry | Self::Contact | Self::Touch => self.trains(kind),
         }
     }
 }
@@ -346,7 +366,13 @@ impl Network {
             self.split_embeddings(params.modality, &djoined, &mut dembeddings);
         }
         loss += self.geometry_loss(batch, passes, step.scope, &mut dembeddings);
-        self.backward_encoders(batch, passes, &dembeddings, step.scope, gradients, gradient);
+        let (of_contact, dcontact) = self.contact_loss(batch, passes, step.scope, gradient);
+        loss += of_contact;
+        let above = Above {
+            embeddings: &dembeddings,
+            contact: &dcontact,
+        };
+        self.backward_encoders(batch, passes, above, step.scope, gradients, gradient);
         self.update_running_stats(passes, step);
         self.workspace = workspace;
         loss
@@ -400,13 +426,7 @@ impl Network {
             for ((row, gradient), (target, _)) in rows.zip(targets).filter(|(_, (_, known))| *known)
             {
                 for ((gradient, found), target) in gradient.iter_mut().zip(row).zip(target) {
-                    let error = f64::from(found - target);
-                    // Smooth L1.
-                    let [value, slope] = if error.abs() < GEOMETRY_KNEE {
-                        [0.5 * error * error / GEOMETRY_KNEE, error / GEOMETRY_KNEE]
-                    } else {
-                        [error.abs() - 0.5 * GEOMETRY_KNEE, error.signum()]
-                    };
+                    let [value, slope] = smooth_l1(f64::from(found - target), GEOMETRY_KNEE);
                     loss += scale * value;
                     *gradient += (scale * slope) as f32;
                 }
@@ -415,18 +435,52 @@ impl Network {
         loss
     }
 
-    /// Adds the gradients of the encoders, given those of their embeddings.
+    /// Loss of the contact maps, and its gradient with respect to the last output of the touch
+    /// encoder; empty without maps. Adds the gradient of what reads them.
+    fn contact_loss(
+        &self,
+        batch: &Batch,
+        passes: &[EncoderPass],
+        scope: Scope,
+        gradient: &mut [f32],
+    ) -> (f64, Vec<f32>) {
+        let contact = self.layout.contact.as_ref();
+        let contact = contact.filter(|_| scope.trains_contact());
+        let encoders = self.layout.encoders.iter().zip(passes);
+        let mut touch = encoders.filter(|(encoder, _)| encoder.kind == EncoderKind::Touch);
+        let last = touch.next().and_then(|(_, pass)| pass.a.last());
+        let known = batch.contact.iter().filter(|x| x.is_finite()).count();
+        let (Some([weight, bias]), Some(last), 1..) = (contact, last, known) else {
+            return (0.0, Vec::new());
+        };
+        let found = linear(last, self.values(weight), self.values(bias), false);
+        let scale = CONTACT_WEIGHT / known as f64;
+        let mut loss = 0.0;
+        let slopes = found.iter().zip(&batch.contact).map(|(found, target)| {
+            if !target.is_finite() {
+                return 0.0;
+            }
+            let [value, slope] = smooth_l1(f64::from(found - target), CONTACT_KNEE);
+            loss += scale * value;
+            (scale * slope) as f32
+        });
+        let slopes: Vec<f32> = slopes.collect();
+        let dlast = backward_linear(last, &slopes, self, weight, bias, gradient);
+        (loss, dlast)
+    }
+
+    /// Adds the gradients of the encoders, given those of what reads them.
     fn backward_encoders(
         &self,
         batch: &Batch,
         passes: &[EncoderPass],
-        dembeddings: &[Vec<f32>],
+        above: Above<'_>,
         scope: Scope,
         buffers: &mut [Vec<f32>; 2],
         gradient: &mut [f32],
     ) {
         let encoders = self.layout.encoders.iter().zip(passes);
-        for ((encoder, pass), dembedding) in encoders.zip(dembeddings) {
+        for ((encoder, pass), dembedding) in encoders.zip(above.embeddings) {
             if !scope.trains(encoder.kind) {
                 continue;
             }
@@ -434,6 +488,9 @@ impl Network {
             let [weight, bias] = &encoder.projection;
             let dpooled = backward_linear(&pass.pooled, dembedding, self, weight, bias, gradient);
             self.unpool(&dpooled, &mut buffers[0]);
+            if encoder.kind == EncoderKind::Touch {
+                add(&mut buffers[0], above.contact);
+            }
             self.backward_convolutions(encoder, pass, images, scope, buffers, gradient);
         }
     }
@@ -751,6 +808,23 @@ struct HeadPass {
     joined: Vec<f32>,
     hidden: Vec<f32>,
     logits: Vec<f32>,
+}
+
+/// Gradients of what reads the encoders.
+#[derive(Clone, Copy)]
+struct Above<'a> {
+    embeddings: &'a [Vec<f32>],
+    /// Of the last output of the touch encoder; empty without contact maps.
+    contact: &'a [f32],
+}
+
+/// Smooth L1 loss of an error and its slope: linear from `knee` on.
+fn smooth_l1(error: f64, knee: f64) -> [f64; 2] {
+    if error.abs() < knee {
+        [0.5 * error * error / knee, error / knee]
+    } else {
+        [error.abs() - 0.5 * knee, error.signum()]
+    }
 }
 
 /// Weight of a head's loss; the weights of all have the sum 1.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::architecture::ConvSpec;
+use crate::architecture::{CONTACT_CHANNELS, ConvSpec};
 use crate::predict::contract::InputName;
 
 /// Seeded uniform numbers.
@@ -43,6 +43,12 @@ pub(crate) fn batch(modality: Modality, count: usize, draw: &mut impl FnMut() ->
         geometry: (0..count * GEOMETRY)
             .map(|i| 0.1 * (i % 7) as f32)
             .collect(),
+        contact: match modality.has_touch() {
+            true => (0..2 * count * 80 * CONTACT_CHANNELS)
+                .map(|i| 0.2 * (i % 11) as f32 - 1.0)
+                .collect(),
+            false => Vec::new(),
+        },
         targets: (0..count).map(|i| (i % 2) as f32).collect(),
         weights: (0..count).map(|i| 0.5 + i as f32).collect(),
     }
@@ -75,6 +81,7 @@ fn gradients_match_finite_differences() {
         Scope::FixedStats,
         Scope::Head,
         Scope::Geometry,
+        Scope::Contact,
         Scope::Touch,
     ] {
         let (network, batch, step) = case(scope);

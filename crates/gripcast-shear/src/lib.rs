@@ -18,6 +18,7 @@
 
 mod association;
 mod contact;
+mod contact_map;
 mod darkness;
 mod dots;
 mod force;
@@ -34,6 +35,7 @@ mod tracker;
 #[cfg(test)]
 mod tracker_test;
 
+pub use contact_map::ContactMaps;
 pub use force::FingerForce;
 pub use gel_motion::{GelMotion, LiftImage, LiftMotion};
 pub use marker::{GelMarker, MarkerField, MarkerPattern, covered};

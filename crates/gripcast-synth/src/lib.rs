@@ -10,6 +10,7 @@
 //! See the paper's §3.2 and A.1. Every result depends on the plan alone.
 
 pub mod acronym;
+mod contact_maps;
 pub mod curate;
 mod engine;
 pub mod family;

@@ -7,6 +7,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
+use super::contact_maps::contact_maps;
 use super::curate::{
     Curation, CurationSettings, LabelledSimulation, LeftOut, ObjectSummary, curate,
 };
@@ -15,6 +16,8 @@ use super::store::{ResultStore, SimulationResult};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, SimulationId, sha256_hex};
 use gripcast_dataset::shard::{ShardRow, ShardWriter, shard_name, shard_path};
+use gripcast_sim::fem::GelPad;
+use gripcast_tactile::SensorProfile;
 
 /// Description of the dataset, beside `data/`.
 const DATASET_FILE: &str = "synth.json";
@@ -360,6 +363,8 @@ struct DatasetWriter<'a> {
     simulation_of_image: BTreeMap<[u8; 16], String>,
     duplicates: usize,
     files: BTreeMap<String, String>,
+    /// Width and height of the gel's face in a tactile image.
+    view_m: [f64; 2],
 }
 
 impl<'a> DatasetWriter<'a> {
@@ -373,7 +378,10 @@ impl<'a> DatasetWriter<'a> {
         fs::create_dir_all(root.path())
             .and_then(|()| folder.create_dir_all())
             .map_err(|e| Error::io("cannot create the folder", e).at(folder.display()))?;
+        let sensor = SensorProfile::gelsight_mini()?.geometry;
+        let view_m = [sensor.width, sensor.height].map(|pixels| pixels as f64 * sensor.pixel_m);
         Ok(Self {
+            view_m,
             plan,
             store,
             root: root.clone(),
@@ -394,7 +402,11 @@ impl<'a> DatasetWriter<'a> {
             let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
             let mut writer = ShardWriter::create(&path, &info)?;
             for (_, result) in shard {
-                for row in self.store.rows(result)? {
+                let record = self.store.load_record(self.plan, &result.id);
+                let pad = GelPad::default();
+                let contact = record.and_then(|record| contact_maps(&record, &pad, self.view_m));
+                for mut row in self.store.rows(result)? {
+                    row.facts.contact.clone_from(&contact);
                     self.count_duplicate(&row);
                     writer.push(row)?;
                 }

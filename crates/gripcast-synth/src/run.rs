@@ -372,6 +372,8 @@ impl<'a> SimulationRunner<'a> {
                     crop_profile: self.renderer.crop_profile().to_owned(),
                     geometry: Some(geometry),
                     lift,
+                    // `merge` adds it from the record.
+                    contact: None,
                 },
                 images: ShardImages {
                     initial_left,

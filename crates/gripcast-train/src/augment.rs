@@ -169,6 +169,8 @@ pub(super) struct Written {
     /// The inputs that are valid; none if there are none.
     pub(super) available: Option<Modality>,
     pub(super) is_mirrored: bool,
+    /// Whether left and right sensor are swapped.
+    pub(super) is_swapped: bool,
 }
 
 impl InputWriter {
@@ -235,6 +237,7 @@ impl InputWriter {
                 InputName::Depth => points.is_some() && has_cameras,
             }),
             is_mirrored: mirror,
+            is_swapped: swap,
         }
     }
 

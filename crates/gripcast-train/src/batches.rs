@@ -7,7 +7,8 @@ use super::samples::{SampleReader, Samples};
 use gripcast_base::error::Result;
 use gripcast_imaging::Decoder;
 use gripcast_nn::predict::contract::{GEOMETRY_UNIT_M, Modality, RgbNormalisation};
-use gripcast_nn::{Batch, GEOMETRY};
+use gripcast_nn::{Batch, CONTACT_CHANNELS, GEOMETRY};
+use gripcast_shear::ContactMaps;
 
 /// Samples used for the mean and standard deviation of the colour image.
 const NORMALISATION_SAMPLES: usize = 256;
@@ -106,7 +107,21 @@ impl<'a> Batches<'a> {
                 geometry.to_array().map(|m| (m / GEOMETRY_UNIT_M) as f32)
             })
         });
+        let with_touch = || {
+            let written = facts().zip(&written);
+            written.filter(|_| modality.has_touch())
+        };
+        let is_known = with_touch().any(|(facts, _)| facts.contact.is_some());
+        let sides = [0, 1].into_iter().filter(|_| is_known);
+        let contact = sides.flat_map(|side| {
+            with_touch().flat_map(move |(facts, written)| {
+                let gel = if written.is_swapped { 1 - side } else { side };
+                let gel = facts.contact.as_ref().map(|maps| maps.gels()[gel]);
+                contact_target(gel, written.is_mirrored)
+            })
+        });
         Ok(Batch {
+            contact: contact.collect(),
             geometry: geometry.collect(),
             // A sample without any input has at least no weight.
             available: written
@@ -122,6 +137,45 @@ impl<'a> Batches<'a> {
             depth,
         })
     }
+}
+
+/// Units of the contact maps: displacement into the gel, and other values, m.
+const CONTACT_UNITS_M: [f64; 2] = [2.5e-4, 1.25e-4];
+
+/// Contact map of a gel as its encoder learns it: at each cell the displacement into the gel, half
+/// its difference to the cells on both sides, to the right and down, and the displacement to the
+/// right and down. NaN for an unknown one.
+fn contact_target(gel: Option<&[f64]>, is_mirrored: bool) -> Vec<f32> {
+    let [rows, columns] = ContactMaps::CELLS;
+    let Some(gel) = gel else {
+        return vec![f32::NAN; rows * columns * CONTACT_CHANNELS];
+    };
+    let (cells, _) = gel.as_chunks::<{ ContactMaps::COMPONENTS }>();
+    let at = |row: usize, column: usize| {
+        let row = if is_mirrored { rows - 1 - row } else { row };
+        let [right, down, inward] = cells[row * columns + column];
+        [right, if is_mirrored { -down } else { down }, inward]
+    };
+    let inward = |row: usize, column: usize| at(row, column)[2];
+    let mut target = Vec::with_capacity(rows * columns * CONTACT_CHANNELS);
+    for row in 0..rows {
+        for column in 0..columns {
+            let [left, right] = [column.saturating_sub(1), (column + 1).min(columns - 1)];
+            let [above, below] = [row.saturating_sub(1), (row + 1).min(rows - 1)];
+            let [x, y, depth] = at(row, column);
+            let values = [
+                depth,
+                0.5 * (inward(row, right) - inward(row, left)),
+                0.5 * (inward(below, column) - inward(above, column)),
+                x,
+                y,
+            ];
+            let [of_depth, of_others] = CONTACT_UNITS_M;
+            let units = [of_depth, of_others, of_others, of_others, of_others];
+            target.extend(values.iter().zip(units).map(|(m, unit)| (m / unit) as f32));
+        }
+    }
+    target
 }
 
 /// Computes mean and standard deviation of the colour images from evenly spaced samples.
@@ -166,6 +220,36 @@ mod tests {
     use super::*;
     use crate::augment::Augmentation;
     use crate::sample_dataset::{row, write_split};
+
+    #[test]
+    fn target_of_a_mirrored_gel_is_that_of_the_mirrored_image() {
+        let [rows, columns] = ContactMaps::CELLS;
+        let cell = |row: usize, column: usize| {
+            let (x, y) = (column as f64, row as f64);
+            [1e-5 * x, 1e-5 * (y + x * y), 1e-5 * (3.0 * x + y * y)]
+        };
+        let cells = (0..rows * columns).map(|i| cell(i / columns, i % columns));
+        let gel: Vec<f64> = cells.flatten().collect();
+        let target = contact_target(Some(&gel), false);
+        let at = |target: &[f32], row: usize, column: usize| -> Vec<f32> {
+            let first = (row * columns + column) * CONTACT_CHANNELS;
+            target[first..first + CONTACT_CHANNELS].to_vec()
+        };
+        // In m: 3 × 2 + 4², 3, (9 − 1) / 2 × … of the neighbours, 2, 4 + 8; each × 1e-5.
+        let expected = [22.0 / 25.0, 3.0 / 12.5, 8.0 / 12.5, 2.0 / 12.5, 12.0 / 12.5];
+        for (found, expected) in at(&target, 4, 2).into_iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+        }
+        let mirrored = contact_target(Some(&gel), true);
+        for row in 0..rows {
+            for column in 0..columns {
+                let mut other = at(&target, rows - 1 - row, column);
+                (other[2], other[4]) = (-other[2], -other[4]);
+                assert_eq!(at(&mirrored, row, column), other);
+            }
+        }
+        assert!(contact_target(None, false).iter().all(|x| x.is_nan()));
+    }
 
     #[test]
     fn both_labels_have_the_same_weight() {

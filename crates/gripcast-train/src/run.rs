@@ -193,13 +193,14 @@ fn run(
         ));
     }
     let is_known = train.facts().iter().any(|facts| facts.geometry.is_some());
+    let has_contact = train.facts().iter().any(|facts| facts.contact.is_some());
     let settings = TrainSettings {
         batch_size: settings.batch_size.min(count),
         ..settings.clone()
     };
     let settings = &match settings.fine_tuning {
         Some(_) => settings,
-        None => settings.for_geometry(is_known),
+        None => settings.for_geometry(is_known).for_contact(has_contact),
     };
     fs::create_dir_all(out)
         .map_err(|e| Error::io("cannot create the folder of the run", e).at(out.display()))?;
@@ -480,7 +481,8 @@ impl<'a> Training<'a> {
         while self.position.epoch < self.settings.total_epochs() && !self.stops_early() {
             let metrics = self.epoch(on_progress)?;
             // Before the heads are trained no epoch is the best.
-            let is_trained = self.settings.phase(self.position.epoch).scope != Scope::Geometry;
+            let scope = self.settings.phase(self.position.epoch).scope;
+            let is_trained = !matches!(scope, Scope::Geometry | Scope::Contact);
             if is_trained && self.position.best.is_none_or(|best| metrics.beats(best)) {
                 let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.running_stats];
                 state::save(&self.folder.best(), &metrics, &arrays)?;
@@ -528,7 +530,7 @@ impl<'a> Training<'a> {
                     ..settings.augmentation
                 },
             ),
-            (Scope::Touch, _) => (Modality::T, settings.augmentation()),
+            (Scope::Contact | Scope::Touch, _) => (Modality::T, settings.augmentation()),
             _ => (settings.modality, settings.augmentation()),
         };
         let writer = InputWriter::new(augmentation, self.normalisation);

@@ -12,6 +12,7 @@ use gripcast_base::catch_panic;
 use gripcast_nn::predict::contract::Modality;
 use gripcast_nn::predict::{Model, ModelInput, training_base_rate};
 use gripcast_nn::{Architecture, ConvSpec};
+use gripcast_shear::ContactMaps;
 
 pub(crate) fn settings(modality: Modality) -> TrainSettings {
     let conv = |channels, kernel, stride, pad| ConvSpec {
@@ -130,6 +131,47 @@ fn exported_model_matches_network() {
             );
         }
     }
+}
+
+#[test]
+fn contact_maps_are_learned_before_the_labels() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    for (split, rows) in [(TRAIN, 16), (VALIDATION, 8)] {
+        let rows = (0..rows).map(|number| {
+            let mut row = row(split, number);
+            let depth_m = 2e-4 * (number % 2) as f64;
+            let cells = ContactMaps::LEN / ContactMaps::COMPONENTS;
+            let values = (0..cells).flat_map(|_| [0.0, 0.0, depth_m]);
+            row.facts.contact = ContactMaps::new(values.collect());
+            row
+        });
+        write_split(&data, split, rows);
+    }
+    let mut settings = settings(Modality::T);
+    let last = settings.architecture.convolutions[1];
+    settings.architecture.convolutions.push(last);
+    settings.architecture.pool = [2, 2];
+    settings.contact_epochs = 4;
+    let out = folder.path().join("run");
+    let trained = train(from_ref(&data), &out, &settings, None, &|_| {}).unwrap();
+    assert_eq!(trained.epochs, 7);
+    assert!(trained.best_epoch > 4, "{trained:?}");
+    let epochs = without_times(&RunFolder::at(&out));
+    assert!(
+        epochs[3].train_loss < 0.7 * epochs[0].train_loss,
+        "{epochs:?}"
+    );
+    // A network whose feature map has other cells does not.
+    let other = self::settings(Modality::T);
+    let trained = train(
+        from_ref(&data),
+        &folder.path().join("other"),
+        &other,
+        None,
+        &|_| {},
+    );
+    assert_eq!(trained.unwrap().epochs, 3);
 }
 
 #[test]

@@ -54,6 +54,7 @@ pub(super) fn graded_row(split: &str, number: u64, is_stable: bool, contact: f32
             centre_m: [0.0, 0.02],
         }),
         lift: None,
+        contact: None,
     };
     let salt = split.bytes().map(u64::from).sum::<u64>();
     let gel = |side: u64, contact: f32| {

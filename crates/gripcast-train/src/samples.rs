@@ -13,7 +13,7 @@ use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::{ShardFacts, ShardReader, ShardRow, ShardSet};
 use gripcast_geometry::GraspGeometry;
 use gripcast_nn::predict::contract::Modality;
-use gripcast_shear::LiftMotion;
+use gripcast_shear::{ContactMaps, LiftMotion};
 
 /// Metadata of a sample.
 #[derive(Clone, Debug)]
@@ -34,6 +34,8 @@ pub struct SampleFacts {
     pub geometry: Option<GraspGeometry>,
     /// What gels and wrist camera show in the lift, if known.
     pub lift_motion: Option<LiftMotion>,
+    /// Displacement of the gels' faces before the lift, if known.
+    pub contact: Option<ContactMaps>,
     /// First 8 digits of the hash of the plan, if it was simulated.
     pub plan: Option<String>,
 }
@@ -60,6 +62,7 @@ impl From<ShardFacts> for SampleFacts {
             stop_force_n: facts.stop_force_n,
             geometry: facts.geometry,
             lift_motion: facts.lift,
+            contact: facts.contact,
             plan: None,
         }
     }

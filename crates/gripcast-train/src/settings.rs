@@ -21,6 +21,9 @@ pub struct TrainSettings {
     /// Epochs before those of training in which the encoders of camera images learn the geometry of
     /// the grasp; 0 for a network without geometry.
     pub pretrain_epochs: u32,
+    /// Epochs before those of training in which the encoder of tactile images learns the
+    /// displacement of the gels' faces; 0 for data without it.
+    pub contact_epochs: u32,
     /// Number of training epochs.
     pub epochs: u32,
     /// Batch size; a run with fewer training samples uses one batch of all of them.
@@ -67,8 +70,8 @@ pub struct FineTuning {
     pub unfreeze_epochs: u32,
 }
 
-/// Learning rate of the geometry relative to that of training.
-const GEOMETRY_RATE: f64 = 4.0;
+/// Learning rate of geometry and contact maps relative to that of training.
+const PRETRAIN_RATE: f64 = 4.0;
 /// Learning rate of all parameters relative to that of the head.
 const UNFROZEN_RATE: f64 = 0.1;
 /// Steps of linear warm-up in fine-tuning: a few dozen grasps make a few steps per epoch.
@@ -95,6 +98,7 @@ impl TrainSettings {
             architecture,
             seed,
             pretrain_epochs: 30,
+            contact_epochs: 15,
             epochs: 30,
             batch_size: 16,
             learning_rate: 3e-4,
@@ -160,6 +164,15 @@ impl TrainSettings {
         }
     }
 
+    /// Number of epochs that learn the contact maps.
+    fn contact_epochs(&self) -> u32 {
+        let is_learned = self.modality.has_touch() && self.architecture.has_contact();
+        match self.fine_tuning {
+            None if is_learned => self.contact_epochs,
+            _ => 0,
+        }
+    }
+
     /// Number of epochs that learn from the labels: without touch one, as the heads that read the
     /// extents are fitted in each.
     fn label_epochs(&self) -> u32 {
@@ -186,22 +199,33 @@ impl TrainSettings {
         }
     }
 
+    /// The settings for a training split with or without known displacement of the gels' faces.
+    pub(super) fn for_contact(self, is_known: bool) -> Self {
+        let contact_epochs = if is_known { self.contact_epochs } else { 0 };
+        Self {
+            contact_epochs,
+            ..self
+        }
+    }
+
     /// Number of epochs of all phases.
     pub fn total_epochs(&self) -> u32 {
         let unfrozen = self.fine_tuning.as_ref().map_or(0, |f| f.unfreeze_epochs);
-        let trained = self.geometry_epochs().saturating_add(self.label_epochs());
+        let pretrained = self.geometry_epochs().saturating_add(self.contact_epochs());
+        let trained = pretrained.saturating_add(self.label_epochs());
         trained.saturating_add(unfrozen)
     }
 
     /// Returns the phase of an epoch, from 0.
     pub(super) fn phase(&self, epoch: u32) -> Phase {
         let pretrain = self.geometry_epochs();
+        let pretrained = pretrain.saturating_add(self.contact_epochs());
         let first = Phase {
             scope: match self.geometry_inputs() {
                 Some(_) => Scope::Touch,
                 None => Scope::All,
             },
-            first: pretrain,
+            first: pretrained,
             epochs: self.label_epochs(),
             learning_rate: self.learning_rate,
         };
@@ -210,7 +234,13 @@ impl TrainSettings {
                 scope: Scope::Geometry,
                 first: 0,
                 epochs: pretrain,
-                learning_rate: GEOMETRY_RATE * self.learning_rate,
+                learning_rate: PRETRAIN_RATE * self.learning_rate,
+            },
+            None if epoch < pretrained => Phase {
+                scope: Scope::Contact,
+                first: pretrain,
+                epochs: self.contact_epochs(),
+                learning_rate: PRETRAIN_RATE * self.learning_rate,
             },
             None => first,
             Some(_) if epoch < self.epochs => Phase {

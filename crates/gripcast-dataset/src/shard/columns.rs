@@ -6,7 +6,7 @@ use parquet::schema::types::TypePtr;
 use super::table_column::{self, ColumnType};
 use gripcast_geometry::GraspGeometry;
 use gripcast_imaging::ObjectMotion;
-use gripcast_shear::LiftMotion;
+use gripcast_shear::{ContactMaps, LiftMotion};
 
 /// One column.
 #[derive(Clone, Copy, Debug)]
@@ -34,7 +34,7 @@ const fn nullable(name: &'static str, kind: ColumnType) -> Column {
 }
 
 /// Columns of `ShardFacts`, in the order of the file.
-pub(super) const FACTS: [Column; 25] = [
+pub(super) const FACTS: [Column; 26] = [
     required("id", ColumnType::Text),
     required("simulation", ColumnType::Text),
     required("object", ColumnType::Text),
@@ -63,6 +63,7 @@ pub(super) const FACTS: [Column; 25] = [
         "object_motion",
         ColumnType::Float64List(LiftMotion::FRAMES * ObjectMotion::LEN),
     ),
+    nullable("contact_map_m", ColumnType::Float64List(ContactMaps::LEN)),
 ];
 
 /// Columns of `ShardImages`, after the facts: `<stage>_<role>`.

@@ -185,7 +185,7 @@ mod tests {
         };
         let ours = find("", "").unwrap();
         assert!(ours.leaves.iter().all(Option::is_some));
-        assert_eq!(leaf(&ours, "grasp_depth"), Some(37));
+        assert_eq!(leaf(&ours, "grasp_depth"), Some(38));
         let other = find("DOUBLE force_left_n;", "DOUBLE other_n;").unwrap();
         assert_eq!(leaf(&other, "force_left_n"), None);
         assert_eq!(leaf(&other, "opening_m"), leaf(&ours, "opening_m"));

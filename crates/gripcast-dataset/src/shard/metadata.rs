@@ -16,9 +16,9 @@ const FORMAT: &str = "gripcast-shard";
 /// Name of the format of `dataset export --to parquet`.
 pub const EXPORT: &str = "gripcast-export";
 /// Version of the format.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 /// Oldest version that can be read: there, lists of `lift_motion` are padded with NaN. Files of
-/// version 2 have no column `object_motion`.
+/// version 2 have no column `object_motion`, those of version 3 no `contact_map_m`.
 const OLDEST_VERSION: u32 = 1;
 
 /// Value of the key.
@@ -114,7 +114,7 @@ mod tests {
             let error = ShardMetadata::parse(&text(version))
                 .unwrap_err()
                 .to_string();
-            assert!(error.contains("expected 1 to 3"), "{error}");
+            assert!(error.contains("expected 1 to 4"), "{error}");
         }
     }
 }

@@ -8,7 +8,7 @@ use super::cell::{Cell, Cells, column_error};
 use gripcast_base::error::Result;
 use gripcast_geometry::{GraspGeometry, Pose};
 use gripcast_imaging::ObjectMotion;
-use gripcast_shear::{GelMotion, LiftMotion};
+use gripcast_shear::{ContactMaps, GelMotion, LiftMotion};
 
 /// Tolerance of a unit quaternion's norm.
 const UNIT_TOLERANCE: f64 = 1e-3;
@@ -70,6 +70,9 @@ pub struct ShardFacts {
     /// [`LiftMotion::gel_values`], column `object_motion` with those of
     /// [`LiftMotion::object_values`].
     pub lift: Option<LiftMotion>,
+    /// Displacement of the gels' faces in the grasp; column `contact_map_m` with the values of
+    /// [`ContactMaps::values`].
+    pub contact: Option<ContactMaps>,
     /// Planned deviation from an antipodal grasp: `none`, `off_centre`, `tilted`, …; none for a
     /// grasp from outside the plan.
     pub fault: Option<String>,
@@ -212,6 +215,9 @@ impl ShardFacts {
                 .as_ref()
                 .and_then(LiftMotion::object_values)
                 .map_or(Cell::Null, Cell::Numbers),
+            self.contact
+                .as_ref()
+                .map_or(Cell::Null, |maps| Cell::Numbers(maps.values().to_vec())),
         ]
     }
 
@@ -251,6 +257,7 @@ impl ShardFacts {
             crop_profile: cells.text()?,
             geometry: cells.optional_numbers()?.map(geometry).transpose()?,
             lift: lift_motion(cells.optional_numbers()?, cells.optional_numbers()?)?,
+            contact: cells.optional_numbers()?.map(contact_maps).transpose()?,
         })
     }
 
@@ -411,6 +418,15 @@ fn lift_motion(gels: Option<Vec<f64>>, object: Option<Vec<f64>>) -> Result<Optio
     with_object.map(Some)
 }
 
+fn contact_maps(values: Vec<f64>) -> Result<ContactMaps> {
+    let count = values.len();
+    ContactMaps::new(values).ok_or_else(|| {
+        let expected = ContactMaps::LEN;
+        let what = format!("has {count} numbers, expected {expected}, all finite");
+        column_error("contact_map_m", what)
+    })
+}
+
 fn geometry(values: Vec<f64>) -> Result<GraspGeometry> {
     let found = values.len();
     match values.try_into() {
@@ -451,6 +467,17 @@ fn pose(t_m: &[f64], q_wxyz: &[f64]) -> Result<Pose> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn incomplete_contact_map_is_refused() {
+        let values = vec![1e-4; ContactMaps::LEN];
+        assert_eq!(contact_maps(values.clone()).unwrap().values(), values);
+        let error = contact_maps(values[1..].to_vec()).unwrap_err().to_string();
+        assert!(error.contains("contact_map_m"), "{error}");
+        assert!(error.contains("479 numbers, expected 480"), "{error}");
+        let damaged = [&values[1..], &[f64::NAN]].concat();
+        assert!(contact_maps(damaged).is_err());
+    }
 
     #[test]
     fn motion_of_the_object_must_belong_to_the_images() {

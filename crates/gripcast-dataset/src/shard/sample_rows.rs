@@ -5,7 +5,7 @@ use glam::{DQuat, DVec3};
 use super::row::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow};
 use gripcast_geometry::{GraspGeometry, Pose};
 use gripcast_imaging::ObjectMotion;
-use gripcast_shear::{GelMotion, LiftImage, LiftMotion};
+use gripcast_shear::{ContactMaps, GelMotion, LiftImage, LiftMotion};
 
 /// Bytes with the signature of an image; not decodable.
 pub(super) fn image(png: bool, seed: u64, length: usize) -> Vec<u8> {
@@ -78,6 +78,9 @@ pub(super) fn sample_row(number: u64) -> ShardRow {
         geometry: every(3).then(|| {
             GraspGeometry::from_array(std::array::from_fn(|i| 0.01 * i as f64 - 0.02 * x))
         }),
+        contact: every(4)
+            .then(|| (0..ContactMaps::LEN).map(|i| 1e-7 * (i as f64 - x)))
+            .and_then(|values| ContactMaps::new(values.collect())),
     };
     let images = ShardImages {
         initial_left: image(false, number, 40),

@@ -307,7 +307,7 @@ mod tests {
         // Changes with the format (then bump its version) or with the Parquet crate.
         assert_eq!(
             hash,
-            "54d4851b0d053854db072fea694b94f245039be8e5968c56ef4e8fc684bed3ff"
+            "47bd1616a5a54da1a0292596b8ccb916f17be37c3a92f61e11668854ca79cf00"
         );
     }
 

@@ -228,5 +228,6 @@ fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<Shar
         crop_profile: crop.to_owned(),
         geometry: None,
         lift: None,
+        contact: None,
     })
 }

@@ -218,6 +218,7 @@ fn row(id: String, label: &GraspLabel, images: ShardImages) -> ShardRow {
             crop_profile: CROP.name().to_owned(),
             geometry: None,
             lift: None,
+            contact: None,
         },
         images,
     }

@@ -82,6 +82,7 @@ impl Sample {
                 crop_profile: "paper".to_owned(),
                 geometry: None,
                 lift: None,
+                contact: None,
             },
             images: ShardImages {
                 initial_left: plain.clone(),
