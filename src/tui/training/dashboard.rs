@@ -108,7 +108,7 @@ fn header(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Pal
 /// Returns the lines of facts; low screens omit the upper ones.
 fn facts(status: &TrainingStatus, area: Rect, palette: Palette) -> Vec<Line<'static>> {
     let (epoch, steps) = status.epoch();
-    let epochs = u64::from(status.settings.total_epochs());
+    let epochs = status.total_epochs();
     let bar = |name, number: [u64; 2], fraction| {
         let number = format!("{} of {}", number[0], number[1]);
         bar(name, &number, fraction, usize::from(area.width), palette)
@@ -232,7 +232,7 @@ fn tiny(status: &TrainingStatus, palette: Palette) -> Line<'static> {
     let best = figure(status.best().and_then(|best| best.validation_auroc));
     let text = format!(
         "{epoch}/{} {step}/{steps} best {best}",
-        status.settings.total_epochs()
+        status.total_epochs()
     );
     Line::styled(text, palette.strong())
 }

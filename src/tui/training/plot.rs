@@ -90,7 +90,7 @@ fn curve(
 fn right_edge(status: &TrainingStatus) -> u64 {
     let current = status.epochs.len() as u64 + 1;
     let room = current.next_power_of_two().max(MIN_EPOCHS);
-    room.min(u64::from(status.settings.total_epochs())).max(1)
+    room.min(status.total_epochs()).max(1)
 }
 
 impl Plot {

@@ -195,11 +195,19 @@ impl TrainingStatus {
         })
     }
 
+    /// Returns the number of epochs of all phases: that of the run once it has started, as phases
+    /// depend on what the dataset has.
+    pub(super) fn total_epochs(&self) -> u64 {
+        let start = self.start.as_ref();
+        let of_run = start.and_then(|start| start.steps[1].checked_div(start.steps_per_epoch));
+        of_run.unwrap_or_else(|| self.settings.total_epochs().into())
+    }
+
     /// Returns the current epoch, from 1, with its finished and total steps.
     pub(super) fn epoch(&self) -> (u64, [u64; 2]) {
         let steps = self.start.as_ref().map_or(0, |start| start.steps_per_epoch);
         let done = self.epochs.len() as u64;
-        let number = (done + 1).min(u64::from(self.settings.total_epochs()));
+        let number = (done + 1).min(self.total_epochs());
         let step = self.at[0].saturating_sub((number - 1) * steps).min(steps);
         (number, [step, steps])
     }
