@@ -47,6 +47,10 @@ pub(crate) struct Args {
     /// Inputs of the classifier [default: vtd, or vt without depth images]
     #[arg(long, value_name = "MODALITY", value_parser = modality())]
     modality: Option<Modality>,
+    /// Epochs in which the encoder of tactile images first learns the displacement of the gels'
+    /// faces; 0 where the dataset has none
+    #[arg(long, value_name = "N", default_value_t = 15, conflicts_with = "from")]
+    contact_epochs: u32,
     /// Model name [default: trained-MODALITY, START-tuned]
     #[arg(long)]
     name: Option<String>,
@@ -274,7 +278,12 @@ impl Args {
     }
 
     fn settings(&self, seed: u64, sources: &Sources) -> Result<TrainSettings> {
-        let settings = |modality| self.training.settings(modality, seed);
+        let settings = |modality| {
+            Ok::<_, Error>(TrainSettings {
+                contact_epochs: self.contact_epochs,
+                ..self.training.settings(modality, seed)?
+            })
+        };
         if let Some(start) = &sources.start {
             let modality = start.contract().modality;
             return Ok(settings(modality)?.fine_tuning(start, self.unfreeze_epochs));

@@ -19,10 +19,6 @@ pub(super) struct TrainingFlags {
     /// 30, or 0 with --cameras-from]
     #[arg(long, value_name = "N")]
     pretrain_epochs: Option<u32>,
-    /// Epochs in which the encoder of tactile images first learns the displacement of the gels'
-    /// faces; 0 where the dataset has none
-    #[arg(long, value_name = "N", default_value_t = 15)]
-    contact_epochs: u32,
     /// Model whose encoders of camera images are used: a built-in name, an ONNX file of `train`, or a
     /// run
     #[arg(long, value_name = "MODEL")]
@@ -71,7 +67,6 @@ impl TrainingFlags {
         let usual = if self.cameras_from.is_some() { 0 } else { 30 };
         let settings = TrainSettings {
             pretrain_epochs: self.pretrain_epochs.unwrap_or(usual),
-            contact_epochs: self.contact_epochs,
             epochs: self.epochs,
             batch_size: self.batch_size,
             learning_rate: self.learning_rate,

@@ -98,7 +98,7 @@ impl TrainSettings {
             architecture,
             seed,
             pretrain_epochs: 30,
-            contact_epochs: 15,
+            contact_epochs: 0,
             epochs: 30,
             batch_size: 16,
             learning_rate: 3e-4,
