@@ -333,7 +333,13 @@ fn yuyv_gels_are_collected_predicted_verified_and_exported() {
     );
     let (id, grasp) = grasps(&dataset).pop_first().unwrap();
     let live = grasp["prediction"]["p_stable"].as_f64().unwrap();
-    assert_eq!(verify(&dataset)["problems"], json!([]));
+    let verified = verify(&dataset);
+    let mut problems = verified["problems"].as_array().unwrap().iter();
+    // The recording repeats after four frames, so both stages may have saved the same one.
+    assert!(
+        problems.all(|problem| problem["kind"] == "duplicate-content"),
+        "{verified}"
+    );
 
     let file = |stage: &str, role: &str| {
         let name = grasp[stage]["cameras"][role]["file"].as_str().unwrap();
