@@ -235,7 +235,7 @@ mod tests {
             let first = (row * columns + column) * CONTACT_CHANNELS;
             target[first..first + CONTACT_CHANNELS].to_vec()
         };
-        // In m: 3 × 2 + 4², 3, (9 − 1) / 2 × … of the neighbours, 2, 4 + 8; each × 1e-5.
+        // 3·2 + 4², 3, (5² − 3²) / 2, 2, 4 + 2·4, each 1e-5 m.
         let expected = [22.0 / 25.0, 3.0 / 12.5, 8.0 / 12.5, 2.0 / 12.5, 12.0 / 12.5];
         for (found, expected) in at(&target, 4, 2).into_iter().zip(expected) {
             assert!((found - expected).abs() < 1e-5, "{found} {expected}");

@@ -17,7 +17,8 @@ use gripcast_shear::{LiftImage, LiftMotion};
 
 /// Rise of the gripper between the images of a simulated lift, m.
 const STEP_M: f64 = 8e-4;
-/// Chosen on the validation splits of plans 2037 and 2041.
+/// Common values. On the validation splits of plans 2037 and 2041 such trees are better than networks of
+/// up to 64 + 64 units; two other settings of the trees were no better.
 const SETTINGS: BoostingSettings = BoostingSettings {
     trees: 200,
     learning_rate: 0.05,
