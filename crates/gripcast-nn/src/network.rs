@@ -1,5 +1,8 @@
 //! The classifier network: forward pass, backward pass, training step.
 
+mod losses;
+mod scope;
+
 use rayon::prelude::*;
 
 use super::architecture::{
@@ -11,122 +14,15 @@ use super::conv::{self, ConvShape, Scratch};
 use super::product::{Finish, Packed};
 use crate::predict::contract::Modality;
 use gripcast_base::error::{Error, Result};
+use losses::head_weight;
+
+pub use scope::{Scope, Step};
 
 /// Minimum momentum of the running statistics.
 const MOMENTUM: f32 = 0.1;
 /// Number of groups of a batch with separate gradient sums, so that sums do not depend on the
 /// number of threads.
 const GROUPS: usize = 8;
-/// Weight of the predictions from all inputs in the loss; those from fewer share the rest.
-const FULL_WEIGHT: f64 = 0.5;
-/// Weight of the geometry's smooth L1 loss relative to the cross entropy, with errors in 0.03 m.
-const GEOMETRY_WEIGHT: f64 = 3.0;
-/// Error of a geometry value at which its loss becomes linear, 0.03 m: the ends of long objects are
-/// out of view.
-const GEOMETRY_KNEE: f64 = 0.5;
-
-/// Weight of the contact maps' smooth L1 loss relative to the cross entropy.
-const CONTACT_WEIGHT: f64 = 1.0;
-/// Error of a contact map's value at which its loss becomes linear.
-const CONTACT_KNEE: f64 = 0.5;
-
-/// Inputs of a training step besides the data.
-#[derive(Clone, Debug, Default)]
-pub struct Step {
-    /// Number of previous steps.
-    pub number: u64,
-    /// Dropout factors of the hidden units of each sample; empty for no dropout.
-    pub dropout: Vec<f32>,
-    /// What the step changes.
-    pub scope: Scope,
-}
-
-impl Step {
-    /// Dropout factors of a hidden layer; none for one that reads the extents, whose units stand
-    /// for a quantity each.
-    fn dropout_of(&self, hidden: &[f32]) -> &[f32] {
-        match self.dropout.len() == hidden.len() {
-            true => &self.dropout,
-            false => &[],
-        }
-    }
-}
-
-/// What training changes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Scope {
-    /// All parameters and the running statistics; normalises with the statistics of the batch.
-    #[default]
-    All,
-    /// All parameters; normalises with the running statistics, which stay as they are.
-    FixedStats,
-    /// The hidden and the output layer; the encoders and their statistics stay as they are.
-    Head,
-    /// The encoders of camera images, for the geometry alone.
-    Geometry,
-    /// The encoder of tactile differences, for the contact maps alone.
-    Contact,
-    /// The encoder of tactile differences, for the labels and contact maps, and the head that reads
-    /// it alone.
-    Touch,
-}
-
-impl Scope {
-    /// Returns the parameters that training changes.
-    pub fn params(self, layout: &Layout) -> impl Iterator<Item = &Param> {
-        let encoders = layout.encoders.iter();
-        let encoders = encoders.filter(move |encoder| self.trains(encoder.kind));
-        let heads = layout.heads.iter();
-        let heads = heads.filter(move |head| self.trains_head(head));
-        let heads = heads.flat_map(HeadParams::params);
-        let contact = layout.contact.iter().filter(move |_| self.trains_contact());
-        // The contact maps are read before the projection.
-        let reads_all = self != Self::Contact;
-        let encoders = encoders.flat_map(move |encoder| {
-            let projection = encoder.projection.iter().filter(move |_| reads_all);
-            encoder.convolutions.iter().flatten().chain(projection)
-        });
-        encoders.chain(heads).chain(contact.flatten())
-    }
-
-    /// Whether it changes what reads the contact maps.
-    fn trains_contact(self) -> bool {
-        matches!(self, Self::All | Self::Contact | Self::Touch)
-    }
-
-    /// Whether it changes a head.
-    fn trains_head(self, head: &HeadParams) -> bool {
-        match self {
-            Self::Geometry | Self::Contact => false,
-            Self::All => !head.reads_extents,
-            Self::Touch => head.modality == Modality::T,
-            Self::FixedStats | Self::Head => true,
-        }
-    }
-
-    /// Whether it changes an encoder.
-    fn trains(self, kind: EncoderKind) -> bool {
-        match self {
-            Self::All | Self::FixedStats => true,
-            Self::Head => false,
-            Self::Geometry => kind != EncoderKind::Touch,
-            Self::Contact | Self::Touch => kind == EncoderKind::Touch,
-        }
-    }
-
-    /// Whether it normalises an encoder with the statistics of the batch.
-    fn is_of_batch(self, kind: EncoderKind) -> bool {
-        self.trains(kind) && self != Self::FixedStats
-    }
-
-    /// Whether it runs an encoder.
-    fn uses(self, kind: EncoderKind) -> bool {
-        match self {
-            Self::All | Self::FixedStats | Self::Head => true,
-            Self::Geometry | Self::Contact | Self::Touch => self.trains(kind),
-        }
-    }
-}
 
 /// The network with its parameters and running statistics.
 #[derive(Clone, Debug)]
@@ -376,97 +272,6 @@ impl Network {
         self.update_running_stats(passes, step);
         self.workspace = workspace;
         loss
-    }
-
-    /// Passes of the encoders that estimate the geometry.
-    fn geometry_passes<'a>(
-        &'a self,
-        passes: &'a [EncoderPass],
-    ) -> impl Iterator<Item = (EncoderKind, &'a EncoderPass)> {
-        let encoders = self.layout.encoders.iter().map(|encoder| encoder.kind);
-        let reads = |kind: &EncoderKind| self.architecture.geometry && *kind != EncoderKind::Touch;
-        encoders.zip(passes).filter(move |(kind, _)| reads(kind))
-    }
-
-    /// Adds the gradient of the geometry's loss to those of the embeddings; returns the loss.
-    fn geometry_loss(
-        &self,
-        batch: &Batch,
-        passes: &[EncoderPass],
-        scope: Scope,
-        dembeddings: &mut [Vec<f32>],
-    ) -> f64 {
-        let mut loss = 0.0;
-        for (encoder, (pass, gradient)) in self
-            .layout
-            .encoders
-            .iter()
-            .zip(passes.iter().zip(dembeddings))
-        {
-            let kind = encoder.kind;
-            if kind == EncoderKind::Touch || !self.architecture.geometry || !scope.trains(kind) {
-                continue;
-            }
-            let input = Modality::of(|name| kind.inputs().contains(&name));
-            let width = self.embedding(kind);
-            let known: Vec<bool> = batch
-                .geometry
-                .chunks_exact(GEOMETRY)
-                .enumerate()
-                .map(|(i, values)| {
-                    input.is_none_or(|input| batch.has(i, input))
-                        && values.iter().all(|x| x.is_finite())
-                })
-                .collect();
-            let count = known.iter().filter(|known| **known).count() * GEOMETRY;
-            let scale = GEOMETRY_WEIGHT / count.max(1) as f64;
-            let rows = pass.embedding.chunks_exact(width);
-            let rows = rows.zip(gradient.chunks_exact_mut(width));
-            let targets = batch.geometry.chunks_exact(GEOMETRY).zip(known);
-            for ((row, gradient), (target, _)) in rows.zip(targets).filter(|(_, (_, known))| *known)
-            {
-                for ((gradient, found), target) in gradient.iter_mut().zip(row).zip(target) {
-                    let [value, slope] = smooth_l1(f64::from(found - target), GEOMETRY_KNEE);
-                    loss += scale * value;
-                    *gradient += (scale * slope) as f32;
-                }
-            }
-        }
-        loss
-    }
-
-    /// Loss of the contact maps, and its gradient with respect to the last output of the touch
-    /// encoder; empty without maps. Adds the gradient of what reads them.
-    fn contact_loss(
-        &self,
-        batch: &Batch,
-        passes: &[EncoderPass],
-        scope: Scope,
-        gradient: &mut [f32],
-    ) -> (f64, Vec<f32>) {
-        let contact = self.layout.contact.as_ref();
-        let contact = contact.filter(|_| scope.trains_contact());
-        let encoders = self.layout.encoders.iter().zip(passes);
-        let mut touch = encoders.filter(|(encoder, _)| encoder.kind == EncoderKind::Touch);
-        let last = touch.next().and_then(|(_, pass)| pass.a.last());
-        let known = batch.contact.iter().filter(|x| x.is_finite()).count();
-        let (Some([weight, bias]), Some(last), 1..) = (contact, last, known) else {
-            return (0.0, Vec::new());
-        };
-        let found = linear(last, self.values(weight), self.values(bias), false);
-        let scale = CONTACT_WEIGHT / known as f64;
-        let mut loss = 0.0;
-        let slopes = found.iter().zip(&batch.contact).map(|(found, target)| {
-            if !target.is_finite() {
-                return 0.0;
-            }
-            let [value, slope] = smooth_l1(f64::from(found - target), CONTACT_KNEE);
-            loss += scale * value;
-            (scale * slope) as f32
-        });
-        let slopes: Vec<f32> = slopes.collect();
-        let dlast = backward_linear(last, &slopes, self, weight, bias, gradient);
-        (loss, dlast)
     }
 
     /// Adds the gradients of the encoders, given those of what reads them.
@@ -816,24 +621,6 @@ struct Above<'a> {
     embeddings: &'a [Vec<f32>],
     /// Of the last output of the touch encoder; empty without contact maps.
     contact: &'a [f32],
-}
-
-/// Smooth L1 loss of an error and its slope: linear from `knee` on.
-fn smooth_l1(error: f64, knee: f64) -> [f64; 2] {
-    if error.abs() < knee {
-        [0.5 * error * error / knee, error / knee]
-    } else {
-        [error.abs() - 0.5 * knee, error.signum()]
-    }
-}
-
-/// Weight of a head's loss; the weights of all have the sum 1.
-fn head_weight(index: usize, count: usize) -> f64 {
-    match (index, count) {
-        (_, 1) => 1.0,
-        (0, _) => FULL_WEIGHT,
-        (_, count) => (1.0 - FULL_WEIGHT) / (count - 1) as f64,
-    }
 }
 
 fn add(to: &mut [f32], from: &[f32]) {
