@@ -123,7 +123,7 @@ fn text(report: &EvalReport) -> String {
             })
         };
         lines.push(format!(
-            "{} over {} seeds: balanced accuracy {}, AUROC {} [{}], ECE {}; all inputs − {}: AUROC {}",
+            "{} over {} seeds: balanced accuracy {}, AUROC {} (over objects {}), ECE {}; all inputs − {}: AUROC {}",
             result.modality,
             over.seeds,
             spread(&over.balanced_accuracy),
