@@ -1,4 +1,4 @@
-//! Losses besides the cross entropy: geometry and contact maps; weights of the losses.
+//! Losses of geometry and contact maps, and the weights of all losses.
 
 use super::{EncoderPass, Network, Scope, backward_linear, linear};
 use crate::architecture::{EncoderKind, GEOMETRY};

@@ -1,4 +1,4 @@
-//! What a training step changes.
+//! Settings of a training step: dropout and the parameters that it changes.
 
 use crate::architecture::{EncoderKind, HeadParams, Layout, Param};
 use crate::predict::contract::Modality;
