@@ -1,5 +1,6 @@
 //! The fitted force model and its errors on presses that it has not seen.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use gripcast_base::error::Result;
@@ -21,6 +22,12 @@ const LOADS_N: [f64; 4] = [2.0, 8.0, 20.0, 40.0];
 /// Ball of the calibration, and its loads, N.
 const CALIBRATION_BALL: &str = "ball 10";
 const CALIBRATION_N: [f64; 4] = [1.0, 2.5, 5.0, 10.0];
+/// Force from which the ratio of a shape counts, N.
+const SHAPE_FROM_N: f64 = 1.0;
+/// Deviation that counts as within, fraction of the force.
+const SHAPE_WITHIN: f64 = 0.1;
+/// Kinds of gels: without and with gel markers.
+const KINDS: [&str; 2] = ["plain", "markers"];
 /// Decrease of the estimate between two states of a rising load that is not noise, fraction.
 const DECREASE: f64 = 0.01;
 
@@ -44,14 +51,46 @@ pub(crate) struct Figures {
     loads: Vec<LoadFigures>,
 }
 
-/// Share of states of a rising load at which the estimate falls, by kind of gel.
-pub(crate) type Decreases = [(usize, usize); 2];
+/// Estimates of one held-out shape by calibrated sensors, above 1 N.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct ShapeFigures {
+    shape: String,
+    has_markers: bool,
+    states: usize,
+    /// Median of the estimate over the force of the finite elements.
+    median_ratio: f64,
+    /// Fraction of the states within 10 %.
+    within: f64,
+}
+
+/// Errors of the shear force on held-out sheared presses, at the larger modulus.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct ShearFigures {
+    source: ShearSource,
+    states: usize,
+    up_to_n: f64,
+    mean_abs_n: f64,
+    /// Median error, fraction of the force.
+    median_fraction: f64,
+    /// Root mean square of the estimate on held-out presses without shear.
+    unsheared_rms_n: f64,
+}
+
+/// Errors of a model on all samples.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct ModelFigures {
+    loads: Vec<Figures>,
+    shapes: Vec<ShapeFigures>,
+    shear: Vec<ShearFigures>,
+    /// Steps of a rising load, and those at which the estimate falls, without and with gel markers.
+    decreases: [(usize, usize); 2],
+}
 
 /// Fits the model to the samples for fitting; returns its errors on all of them.
 ///
 /// # Errors
 /// `Internal` if no product of features explains the forces.
-pub(crate) fn fitted(samples: &[Sample]) -> Result<(ForceModel, Vec<Figures>, Decreases)> {
+pub(crate) fn fitted(samples: &[Sample]) -> Result<(ForceModel, ModelFigures)> {
     let [plain, markers] = [false, true].map(|has_markers| -> Result<NormalForce> {
         let of = |split: Use| {
             let normal =
@@ -101,16 +140,17 @@ pub(crate) fn fitted(samples: &[Sample]) -> Result<(ForceModel, Vec<Figures>, De
         });
     model.marker_shear = marker_shear;
     model.texture_shear = texture_shear;
-    let (figures, decreases) = figures(&model, samples);
-    model.provenance = provenance(&figures, &decreases);
-    Ok((model, figures, decreases))
+    let figures = figures(&model, samples);
+    model.provenance = provenance(&figures);
+    Ok((model, figures))
 }
 
-fn figures(model: &ForceModel, samples: &[Sample]) -> (Vec<Figures>, Decreases) {
+fn figures(model: &ForceModel, samples: &[Sample]) -> ModelFigures {
     let mut all = Vec::new();
+    let mut shapes = Vec::new();
     let mut decreases = [(0, 0); 2];
     for (kind, has_markers) in [(0, false), (1, true)] {
-        let name = if has_markers { "markers" } else { "plain" };
+        let name = KINDS[kind];
         let of = |split: Use| {
             samples
                 .iter()
@@ -139,8 +179,22 @@ fn figures(model: &ForceModel, samples: &[Sample]) -> (Vec<Figures>, Decreases) 
             } else {
                 "held-out shapes"
             };
-            let pairs = calibrated(model, samples, split, has_markers);
+            let by_shape = calibrated(model, samples, split, has_markers);
+            let pairs: Vec<[f64; 2]> = by_shape.values().flatten().copied().collect();
             all.push(errors(format!("{name}, {what}, gel calibrated"), &pairs));
+            shapes.extend(by_shape.iter().map(|(shape, pairs)| {
+                let above = pairs.iter().filter(|[_, force]| *force > SHAPE_FROM_N);
+                let mut ratios: Vec<f64> = above.map(|[e, force]| e / force).collect();
+                ratios.sort_by(f64::total_cmp);
+                let within = ratios.iter().filter(|r| (*r - 1.0).abs() <= SHAPE_WITHIN);
+                ShapeFigures {
+                    shape: (*shape).to_owned(),
+                    has_markers,
+                    states: ratios.len(),
+                    median_ratio: quantile(&ratios, 0.5).unwrap_or_default(),
+                    within: within.count() as f64 / ratios.len().max(1) as f64,
+                }
+            }));
         }
         let (found, falls) = &mut decreases[kind];
         for pair in samples.windows(2) {
@@ -157,17 +211,53 @@ fn figures(model: &ForceModel, samples: &[Sample]) -> (Vec<Figures>, Decreases) 
             *falls += usize::from(value(after) < (1.0 - DECREASE) * value(before));
         }
     }
-    (all, decreases)
+    let shear = [ShearSource::Markers, ShearSource::Texture].map(|s| shear(model, samples, s));
+    ModelFigures {
+        loads: all,
+        shapes,
+        shear: shear.into(),
+        decreases,
+    }
 }
 
-/// Estimates and forces of held-out presses by sensors that are calibrated with weights on one ball.
-fn calibrated(
+/// Errors of the shear force along x on held-out presses.
+fn shear(model: &ForceModel, samples: &[Sample], source: ShearSource) -> ShearFigures {
+    let scale_n = YOUNG_PA[1] * THICKNESS_M * THICKNESS_M;
+    let held_out = samples.iter().filter(|s| s.split != Use::Fit);
+    let (mut sheared, mut unsheared) = (Vec::new(), Vec::new());
+    for sample in held_out {
+        let Some(motion) = sample.motion.filter(|m| m.source == source) else {
+            continue;
+        };
+        let [x, y] = model.shear(&motion, &sample.features, sample.poisson).value;
+        match sample.is_sheared {
+            true => sheared.push([scale_n * x, scale_n * sample.shear]),
+            false => unsheared.push(scale_n * x.hypot(y)),
+        }
+    }
+    let mut fractions: Vec<f64> = sheared.iter().map(|[e, n]| (e / n - 1.0).abs()).collect();
+    fractions.sort_by(f64::total_cmp);
+    let count = sheared.len().max(1) as f64;
+    let squares: f64 = unsheared.iter().map(|e| e * e).sum();
+    ShearFigures {
+        source,
+        states: sheared.len(),
+        up_to_n: sheared.iter().map(|[_, n]| *n).fold(0.0, f64::max),
+        mean_abs_n: sheared.iter().map(|[e, n]| (e - n).abs()).sum::<f64>() / count,
+        median_fraction: quantile(&fractions, 0.5).unwrap_or_default(),
+        unsheared_rms_n: (squares / unsheared.len().max(1) as f64).sqrt(),
+    }
+}
+
+/// Estimates and forces of held-out presses by sensors that are calibrated with weights on one ball,
+/// by shape.
+fn calibrated<'a>(
     model: &ForceModel,
-    samples: &[Sample],
+    samples: &'a [Sample],
     split: Use,
     has_markers: bool,
-) -> Vec<[f64; 2]> {
-    let mut pairs = Vec::new();
+) -> BTreeMap<&'a str, Vec<[f64; 2]>> {
+    let mut pairs: BTreeMap<&str, Vec<[f64; 2]>> = BTreeMap::new();
     let of_kind = || {
         samples
             .iter()
@@ -203,11 +293,11 @@ fn calibrated(
             let fit = ForceCalibration::fit(model, THICKNESS_M, "bench", "", &presses);
             let Ok(calibration) = fit else { continue };
             let h2 = THICKNESS_M * THICKNESS_M;
-            let estimates = own().filter(|s| s.split == split).map(|s| {
+            for s in own().filter(|s| s.split == split) {
                 let value = model.normal(&s.features, calibration.poisson).value;
-                [calibration.young_pa * h2 * value, scale_n * s.normal]
-            });
-            pairs.extend(estimates);
+                let pair = [calibration.young_pa * h2 * value, scale_n * s.normal];
+                pairs.entry(&s.shape).or_default().push(pair);
+            }
         }
     }
     pairs
@@ -242,13 +332,13 @@ fn errors(what: String, pairs: &[[f64; 2]]) -> Figures {
     }
 }
 
-/// The errors as a table.
-pub(crate) fn text(figures: &[Figures], decreases: &Decreases) -> String {
+/// The errors as tables.
+pub(crate) fn text(figures: &ModelFigures) -> String {
     let mut out = format!(
         "{:<40} {:>7} {:>7} {:>9} {:>7} {:>8} {:>7}\n",
         "", "up to N", "states", "mean abs", "p90", "median %", "within"
     );
-    for figures in figures {
+    for figures in &figures.loads {
         for (row, load) in figures.loads.iter().enumerate() {
             let what = if row == 0 { figures.what.as_str() } else { "" };
             let _ = writeln!(
@@ -263,7 +353,39 @@ pub(crate) fn text(figures: &[Figures], decreases: &Decreases) -> String {
             );
         }
     }
-    for (kind, (steps, falls)) in ["plain", "markers"].iter().zip(decreases) {
+    let _ = writeln!(
+        out,
+        "\n{:<40} {:>7} {:>12} {:>11}",
+        "gel calibrated, above 1 N", "states", "median ratio", "within 10 %"
+    );
+    for figures in &figures.shapes {
+        let kind = KINDS[usize::from(figures.has_markers)];
+        let _ = writeln!(
+            out,
+            "{:<40} {:>7} {:>12.2} {:>11.2}",
+            format!("{kind}, {}", figures.shape),
+            figures.states,
+            figures.median_ratio,
+            figures.within
+        );
+    }
+    for figures in &figures.shear {
+        let source = match figures.source {
+            ShearSource::Markers => "markers",
+            ShearSource::Texture => "texture",
+        };
+        let _ = writeln!(
+            out,
+            "shear from {source}: {} states up to {:.1} N, mean abs {:.2} N, median {:.1} %; \
+             without shear {:.2} N rms",
+            figures.states,
+            figures.up_to_n,
+            figures.mean_abs_n,
+            100.0 * figures.median_fraction,
+            figures.unsheared_rms_n
+        );
+    }
+    for (kind, (steps, falls)) in KINDS.iter().zip(figures.decreases) {
         let _ = writeln!(
             out,
             "{kind}: the estimate falls in {falls} of {steps} steps of load"
@@ -273,7 +395,7 @@ pub(crate) fn text(figures: &[Figures], decreases: &Decreases) -> String {
 }
 
 /// Sentence about the model for its file.
-fn provenance(figures: &[Figures], decreases: &Decreases) -> String {
+fn provenance(figures: &ModelFigures) -> String {
     let of = |figures: &Figures| {
         let loads = figures
             .loads
@@ -281,9 +403,10 @@ fn provenance(figures: &[Figures], decreases: &Decreases) -> String {
             .map(|load| format!("{:.2} N up to {} N", load.mean_abs_n, load.up_to_n));
         format!("{}: {}", figures.what, loads.collect::<Vec<_>>().join(", "))
     };
-    let held_out = figures.iter().filter(|f| !f.what.contains("fitted"));
+    let unseen = |f: &&Figures| !f.what.contains("fitted");
+    let held_out = figures.loads.iter().filter(unseen);
     let held_out: Vec<String> = held_out.map(of).collect();
-    let [(plain, plain_falls), (markers, marker_falls)] = decreases;
+    let [(plain, plain_falls), (markers, marker_falls)] = figures.decreases;
     format!(
         "Written by `gripcast-bench force-model`. Fitted to finite-element presses of 24 shapes on \
          gels of Poisson's ratio 0.30, 0.40 and 0.48, rendered with GelSight Minis that differ as \

@@ -66,12 +66,12 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     if let Some(file) = &args.samples {
         write_json(file, &samples)?;
     }
-    let (model, figures, decreases) = fitted(&samples)?;
+    let (model, figures) = fitted(&samples)?;
     if let Some(file) = &args.out {
         save(file, model.to_toml()?.as_bytes())?;
     }
-    let text = text(&figures, &decreases);
-    let figures = json!({"figures": figures, "decreases": decreases, "model": model});
+    let text = text(&figures);
+    let figures = json!({"figures": figures, "model": model});
     Report::new("force-model", json!({"seed": args.seed}), figures, text).print(args.json)
 }
 

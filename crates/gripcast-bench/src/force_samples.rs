@@ -17,7 +17,7 @@ use crate::force_presses::{Place, SimulatedPress, Use, YOUNG_PA, depth_of, is_lo
 /// Profiles that are rendered: without gel markers, with gel markers.
 const PROFILES: [&str; 2] = ["gelsight-mini", "gelsight-mini-markers"];
 /// Sensors of each kind per press.
-const SENSORS: usize = 2;
+const SENSORS: usize = 6;
 /// Maximum distance of a press from the middle of the gel along x and y, m.
 const MAX_SHIFT_M: [f64; 2] = [3e-3, 2e-3];
 /// First number of the sensors of held-out presses.
