@@ -114,6 +114,7 @@ fn contract(args: &StampArgs) -> Result<ModelContract> {
         temperature: 1.0,
         fallbacks: Vec::new(),
         geometry: Vec::new(),
+        contact: Vec::new(),
         crop_profile,
         card: card.transpose()?.unwrap_or_else(|| NO_CARD.to_owned()),
         other: BTreeMap::new(),

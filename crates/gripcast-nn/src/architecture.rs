@@ -11,9 +11,7 @@ use gripcast_shear::ContactMaps;
 /// Height, width and channels of the input images.
 pub const IMAGE: [usize; 3] = [240, 320, 3];
 
-/// Numbers of a cell of a contact map as the touch encoder learns it: displacement into the gel, its
-/// slope to the right and down, and the displacement to the right and down.
-pub const CONTACT_CHANNELS: usize = 5;
+pub use crate::predict::contract::CONTACT_CHANNELS;
 
 /// Settings of a convolution with batch normalisation and ReLU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

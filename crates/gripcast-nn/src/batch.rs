@@ -64,4 +64,7 @@ pub struct Outputs {
     /// Geometry of the samples, [`GEOMETRY`](super::GEOMETRY) values of each in units of 0.03 m, by the input it is
     /// read from.
     pub geometry: Vec<(InputName, Vec<f32>)>,
+    /// Contact maps of the tactile differences in their order, planes of cells by channel; empty if
+    /// the network does not read them.
+    pub contact: Vec<f32>,
 }

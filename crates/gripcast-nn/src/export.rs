@@ -10,14 +10,16 @@ use crate::architecture::{Architecture, ConvSpec, EncoderKind, GEOMETRY, IMAGE, 
 use crate::network::Network;
 use crate::predict::ModelContract;
 use crate::predict::contract::{
-    GEOMETRY_SHAPE, INPUT_SHAPE, InputName, Modality, OUTPUT_SHAPE, geometry_output, is_fallback,
-    output_of,
+    CONTACT_CHANNELS, CONTACT_SHAPE, GEOMETRY_SHAPE, INPUT_SHAPE, InputName, Modality,
+    OUTPUT_SHAPE, contact_output, geometry_output, is_fallback, output_of,
 };
 use crate::predict::onnx::{Attribute, OPEN_BATCH, OnnxGraphBuilder, Value};
 use gripcast_base::error::{Error, Result};
 
 /// Name of the constant that selects the geometry of an embedding.
 const SELECT: &str = "geometry.select";
+/// Start of the constants that read the contact maps.
+const CONTACT: &str = "contact.projection";
 /// Maximum padding of a recognised convolution, pixels.
 const MAX_PAD: usize = 16;
 
@@ -49,7 +51,11 @@ pub fn to_onnx(network: &Network, contract: &ModelContract) -> Result<Vec<u8>> {
         let values: Vec<f32> = (0..rows * columns).map(one).collect();
         graph.constant(SELECT, &[rows as i64, columns as i64], &values)?;
     }
-    let outputs = write_nodes(&mut graph, network.architecture(), all)?;
+    if !contract.contact.is_empty() {
+        write_contact(&mut graph, network)?;
+    }
+    let reads_contact = !contract.contact.is_empty();
+    let outputs = write_nodes(&mut graph, network.architecture(), all, reads_contact)?;
     for (value, shape) in &outputs {
         graph.output(value, &with_open_batch(*shape));
     }
@@ -107,6 +113,19 @@ fn write_encoder(graph: &mut OnnxGraphBuilder, network: &Network, kind: EncoderK
     Ok(())
 }
 
+/// Writes what reads the contact maps at each cell.
+fn write_contact(graph: &mut OnnxGraphBuilder, network: &Network) -> Result<()> {
+    let layer = network.layout().contact.as_ref();
+    let [weight, bias] =
+        layer.ok_or_else(|| Error::internal("the network reads no contact maps"))?;
+    let [inputs, outputs] = weight.shape;
+    let values = outputs_first(network.values(weight), 1, inputs, outputs);
+    let size = [outputs, inputs, 1, 1].map(|side| side as i64);
+    graph.constant(&weight.name, &size, &values)?;
+    graph.constant(&bias.name, &size[..1], network.values(bias))?;
+    Ok(())
+}
+
 fn conv_param(kind: EncoderKind, at: usize, what: &str) -> String {
     format!("{}.conv{}.{what}", kind.name(), at + 1)
 }
@@ -117,10 +136,16 @@ fn write_nodes(
     graph: &mut OnnxGraphBuilder,
     architecture: &Architecture,
     modality: Modality,
+    reads_contact: bool,
 ) -> Result<Vec<(Value, [i64; 2])>> {
     let mut embeddings = Vec::new();
+    let mut contact = Vec::new();
     for input in modality.inputs() {
-        embeddings.push((input, write_encoder_nodes(graph, architecture, input)?));
+        let (last, embedding) = write_encoder_nodes(graph, architecture, input)?;
+        embeddings.push((input, embedding));
+        if reads_contact && EncoderKind::of(input) == EncoderKind::Touch {
+            contact.push(write_contact_nodes(graph, input, &last)?);
+        }
     }
     let mut outputs = Vec::new();
     for head in architecture.heads(modality) {
@@ -153,14 +178,30 @@ fn write_nodes(
             outputs.push((geometry, GEOMETRY_SHAPE));
         }
     }
+    outputs.extend(contact.into_iter().map(|map| (map, CONTACT_SHAPE)));
     Ok(outputs)
 }
 
+/// Appends the nodes that read the contact map of a tactile input from the encoder's last output.
+fn write_contact_nodes(
+    graph: &mut OnnxGraphBuilder,
+    input: InputName,
+    last: &Value,
+) -> Result<Value> {
+    let [weight, bias] = ["weight", "bias"].map(|what| Value::named(&format!("{CONTACT}.{what}")));
+    let kernel = [Attribute::ints("kernel_shape", &[1; 2])];
+    let name = format!("{input}_contact");
+    let map = graph.node("Conv", &name, &[last, &weight, &bias], kernel)?;
+    let axis = [Attribute::int("axis", 1)];
+    graph.node("Flatten", &contact_output(input), &[&map], axis)
+}
+
+/// Appends the nodes of an encoder; returns the last convolution's output and the embedding.
 fn write_encoder_nodes(
     graph: &mut OnnxGraphBuilder,
     architecture: &Architecture,
     input: InputName,
-) -> Result<Value> {
+) -> Result<(Value, Value)> {
     let (name, kind) = (input.name(), EncoderKind::of(input));
     let mut x = Value::named(name);
     for (i, spec) in architecture.convolutions.iter().enumerate() {
@@ -185,7 +226,8 @@ fn write_encoder_nodes(
     let axis = [Attribute::int("axis", 1)];
     let flat = graph.node("Flatten", &format!("{name}_flat"), &[&pooled], axis)?;
     let projection = format!("{}.projection", kind.name());
-    write_gemm(graph, &format!("{name}_embedding"), &flat, &projection)
+    let embedding = write_gemm(graph, &format!("{name}_embedding"), &flat, &projection)?;
+    Ok((x, embedding))
 }
 
 fn write_gemm(graph: &mut OnnxGraphBuilder, name: &str, x: &Value, layer: &str) -> Result<Value> {
@@ -228,6 +270,8 @@ const _: () = {
 pub(crate) struct RecognisedNetwork<'a> {
     graph: &'a GraphProto,
     pub(crate) architecture: Architecture,
+    /// Whether it reads contact maps.
+    pub(crate) reads_contact: bool,
 }
 
 /// Weight and bias of a layer as stored in the file.
@@ -237,12 +281,15 @@ impl<'a> RecognisedNetwork<'a> {
     /// Recognises the graph of a network with these inputs; none if any node differs.
     pub(crate) fn new(graph: &'a GraphProto, modality: Modality) -> Option<Self> {
         let architecture = architecture_of(graph, modality)?;
+        let reads_contact = reads_contact(graph);
         let mut expected = OnnxGraphBuilder::new("");
-        write_nodes(&mut expected, &architecture, modality).ok()?;
+        write_nodes(&mut expected, &architecture, modality, reads_contact).ok()?;
         let matches = expected.nodes() == graph.node;
-        matches.then_some(Self {
+        let has_cells = !reads_contact || architecture.has_contact();
+        (matches && has_cells).then_some(Self {
             graph,
             architecture,
+            reads_contact,
         })
     }
 
@@ -256,6 +303,17 @@ impl<'a> RecognisedNetwork<'a> {
             self.floats(&weight, &sides)?,
             self.floats(&bias, &[spec.channels])?,
         ])
+    }
+
+    /// Weight, outputs × inputs, and bias of what reads the contact maps at each cell.
+    pub(crate) fn contact(&self) -> Option<Layer> {
+        let inputs = self.architecture.convolutions.last()?.channels;
+        let weight = self.floats(
+            &format!("{CONTACT}.weight"),
+            &[CONTACT_CHANNELS, inputs, 1, 1],
+        )?;
+        let bias = self.floats(&format!("{CONTACT}.bias"), &[CONTACT_CHANNELS])?;
+        Some([weight, bias])
     }
 
     /// Weight, inputs × outputs, and bias of a dense layer.
@@ -319,7 +377,8 @@ fn architecture_of(graph: &GraphProto, modality: Modality) -> Option<Architectur
     let cameras = [EncoderKind::Vision, EncoderKind::Depth];
     let camera = cameras.into_iter().find(|kind| kind.is_in(modality));
     let (geometry, fallbacks) = (
-        constant(graph, SELECT).is_some(),
+        // Only a network that estimates the geometry learns contact maps.
+        constant(graph, SELECT).is_some() || reads_contact(graph),
         graph.output.iter().any(|output| is_fallback(&output.name)),
     );
     // Heads of other inputs have hidden units for the extents.
@@ -342,6 +401,10 @@ fn architecture_of(graph: &GraphProto, modality: Modality) -> Option<Architectur
         fallbacks,
         hidden,
     })
+}
+
+fn reads_contact(graph: &GraphProto) -> bool {
+    constant(graph, &format!("{CONTACT}.weight")).is_some()
 }
 
 fn node<'a>(graph: &'a GraphProto, name: &str) -> Option<&'a NodeProto> {

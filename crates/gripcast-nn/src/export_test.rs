@@ -6,7 +6,10 @@ use crate::from_onnx;
 use crate::predict::contract::{
     GEOMETRY_UNIT_M, InputSpec, Modality, Origin, OutputSpec, RgbNormalisation,
 };
-use crate::predict::{Model, ModelInput, PointMap, SHIPPED, model_bytes, onnx};
+use crate::predict::{
+    BoostedTrees, GraspEstimator, GraspHead, Model, ModelInput, PointMap, SHIPPED, TreeNode,
+    grasp_head, model_bytes, onnx,
+};
 use gripcast_base::random::SeedStream;
 use gripcast_imaging::{Depth, DepthView};
 
@@ -40,6 +43,7 @@ fn contract(architecture: &Architecture, modality: Modality, temperature: f64) -
         temperature,
         fallbacks: fallbacks.collect(),
         geometry: cameras.filter(|_| architecture.geometry).collect(),
+        contact: Vec::new(),
         crop_profile: Some(gripcast_imaging::CropProfile::FULL),
         card: "random".to_owned(),
         other: std::collections::BTreeMap::new(),
@@ -152,6 +156,91 @@ fn network_and_both_engines_agree() {
             }
         }
     }
+}
+
+#[test]
+fn grasp_head_reads_contact_maps_and_extents() {
+    let mut draw = SeedStream::named(4, "export");
+    let architecture = Architecture::gripcast();
+    let network = network(&architecture, Modality::Vtd, &mut draw);
+    let mut contract = contract(&architecture, Modality::Vtd, 1.3);
+    contract.contact = vec![InputName::TactileLeft, InputName::TactileRight];
+    let plain = Model::from_bytes(&to_onnx(&network, &contract).unwrap()).unwrap();
+    let (whole, batch) = images(&plain, &mut draw);
+    let outputs = network.outputs(&batch);
+    let (left, right) = outputs.contact.split_at(outputs.contact.len() / 2);
+    let gels = grasp_head::gel_features([left, right]);
+    // Stumps on both sides of each feature: another feature, or its value for another image, gives
+    // other log-odds.
+    let estimator = |modality: Modality| {
+        let cameras = outputs.geometry.iter();
+        let cameras = cameras.filter(|(input, _)| modality.has(*input));
+        let extents = cameras.flat_map(|(_, values)| values).copied();
+        let features = gels.into_iter().chain(extents.map(f64::from));
+        let (bias, trees) = (0.0, Vec::new());
+        let mut trees = BoostedTrees { bias, trees };
+        for (i, value) in features.enumerate() {
+            let margin = 1e-3 * (1.0 + value.abs());
+            for (limit, [below, above]) in [
+                (value - margin, [-3.0, 0.01 * i as f32]),
+                (value + margin, [0.02, 3.0]),
+            ] {
+                let split = TreeNode::Split(i as u16, limit as f32, 1, 2);
+                let leaves = [below, above].map(TreeNode::Leaf);
+                trees.trees.push([vec![split], leaves.to_vec()].concat());
+            }
+        }
+        GraspEstimator {
+            modality,
+            trees,
+            network_weight: 0.7,
+            trees_weight: 0.05,
+            offset: -0.1,
+        }
+    };
+    let estimators = [Modality::Vtd, Modality::T].map(estimator);
+    let head = GraspHead {
+        estimators: estimators.to_vec(),
+    };
+    let metadata = head.to_metadata();
+    let key = grasp_head::METADATA.to_owned();
+    contract.other.insert(key.clone(), metadata.clone());
+    let bytes = to_onnx(&network, &contract).unwrap();
+    let native = Model::from_bytes(&bytes).unwrap();
+    assert!(native.is_native());
+    let tract = Model::with_tract(&bytes).unwrap();
+    let (imported, _) = from_onnx(&bytes).unwrap();
+    let maps = imported.outputs(&batch).contact;
+    let near = |(a, b): (&f32, &f32)| (a - b).abs() < 1e-4 * (1.0 + b.abs());
+    assert!(maps.len() == outputs.contact.len() && maps.iter().zip(&outputs.contact).all(near));
+    for (output, logits) in contract.outputs().zip(&outputs.logits) {
+        let network = f64::from(logits[0]) / output.temperature;
+        let expected = head.of(output.modality).map_or(network, |estimator| {
+            let features = GraspEstimator::features_of(output.modality);
+            let sum: f64 = (0..features).map(|i| 0.01 * i as f64 + 0.02).sum();
+            estimator.combined(network, sum)
+        });
+        let expected = 1.0 / (1.0 + (-expected).exp());
+        let mut input = whole.clone();
+        input.keep(output.modality);
+        for model in [&native, &tract] {
+            let found = model.predict(&input).unwrap().p_stable;
+            assert!(
+                (found - expected).abs() < 1e-5,
+                "{}: {found} {expected}",
+                output.modality
+            );
+        }
+    }
+    // A head whose readings the graph does not give is refused.
+    contract.contact.clear();
+    let bytes = to_onnx(&network, &contract).unwrap();
+    let error = Model::from_bytes(&bytes).unwrap_err();
+    assert!(
+        error.what().contains("reads `tactile_left`"),
+        "{}",
+        error.what()
+    );
 }
 
 /// Finite weights whose sums overflow: infinity minus infinity is NaN, and a ReLU would turn it into 0.

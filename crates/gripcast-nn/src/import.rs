@@ -71,7 +71,8 @@ fn network(graph: &RecognisedNetwork<'_>, contract: &ModelContract) -> Option<Ne
     let kinds = EncoderKind::ALL.into_iter();
     let kinds = kinds.filter(|kind| kind.is_in(modality));
     let encoders = kinds.map(encoder).collect::<Option<Vec<_>>>()?;
-    if architecture.geometry && architecture.camera_embedding < GEOMETRY {
+    let has_cameras = modality.cameras().is_some();
+    if has_cameras && architecture.geometry && architecture.camera_embedding < GEOMETRY {
         return None;
     }
     let heads = architecture.heads(modality).into_iter().map(|head| {
@@ -86,6 +87,10 @@ fn network(graph: &RecognisedNetwork<'_>, contract: &ModelContract) -> Option<Ne
         ])
     });
     let heads = heads.collect::<Option<Vec<_>>>()?;
+    let contact = match graph.reads_contact {
+        true => Some(graph.contact()?),
+        false => None,
+    };
     let mut network = Network::new(architecture, modality, || 0.5);
     let layout = network.layout().clone();
     for (params, encoder) in layout.encoders.iter().zip(&encoders) {
@@ -94,6 +99,10 @@ fn network(graph: &RecognisedNetwork<'_>, contract: &ModelContract) -> Option<Ne
     for (params, [hidden, logit]) in layout.heads.iter().zip(&heads) {
         set_layer(&mut network, &params.hidden, hidden);
         set_layer(&mut network, &params.logit, logit);
+    }
+    if let Some((params, [weight, bias])) = layout.contact.as_ref().zip(contact) {
+        let weight = outputs_last(&weight, 1, params[0].shape[0]);
+        set_layer(&mut network, params, &[weight, bias]);
     }
     Some(network)
 }

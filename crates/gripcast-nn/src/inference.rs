@@ -52,6 +52,24 @@ impl Padded {
         }
     }
 
+    /// Sums of the channels at each pixel, one plane for each of `bias`; `weights` are planes ×
+    /// channels.
+    pub(crate) fn planes_of(&self, weights: &[f32], bias: &[f32]) -> Vec<f32> {
+        let [height, width, channels] = self.size;
+        let mut planes = Vec::with_capacity(bias.len() * height * width);
+        for (weights, bias) in weights.chunks_exact(channels).zip(bias) {
+            for y in 0..height {
+                let row = &self.values[self.start(0) + y * self.row_step()..][..width * channels];
+                let sums = row.chunks_exact(channels).map(|pixel| {
+                    let terms = pixel.iter().zip(weights).map(|(x, weight)| x * weight);
+                    bias + terms.sum::<f32>()
+                });
+                planes.extend(sums);
+            }
+        }
+        planes
+    }
+
     /// Appends the average pooling with windows of `window` pixels, HWC.
     pub(crate) fn pool(&self, window: [usize; 2], means: &mut Vec<f32>) {
         let [height, width, channels] = self.size;

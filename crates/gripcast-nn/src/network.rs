@@ -206,6 +206,7 @@ impl Network {
         Outputs {
             logits: logits.collect(),
             geometry: geometry.collect(),
+            contact: self.contact_maps(&passes),
         }
     }
 

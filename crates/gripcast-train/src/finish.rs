@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use super::comparison::Comparison;
 use super::conformal::add_conformal_scores;
+use super::grasp_head;
 use super::lift;
 use super::metrics::{Summary, even_odds_threshold, fit_temperature};
 use super::ood::fit_tactile_reference;
@@ -17,8 +18,9 @@ use super::validate::{Logit, SplitLogits, logits};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::{InputName, InputSpec, Modality, Origin, OutputSpec};
+use gripcast_nn::predict::grasp_head::METADATA as GRASP;
 use gripcast_nn::predict::lift::METADATA as LIFT;
-use gripcast_nn::predict::{BASE_RATE, ModelContract, ood};
+use gripcast_nn::predict::{BASE_RATE, GraspHead, ModelContract, ood};
 use gripcast_nn::{Network, to_onnx};
 
 /// Metadata key of the training objects.
@@ -61,16 +63,32 @@ pub fn finish(
     let _lock = folder.lock()?;
     let validation = Samples::open_all(data, "validation")?;
     let (network, best) = folder.best_network(&file.settings)?;
-    let logits_of = |network: &Network| {
+    let logits_of = |network: &Network, samples: &Samples| {
         let (settings, normalisation) = (&file.settings, file.normalisation());
-        logits(network, &validation, settings, normalisation, on_progress)
+        logits(network, samples, settings, normalisation, on_progress)
     };
-    let logits = logits_of(&network)?;
+    let mut logits = logits_of(&network, &validation)?;
     let known = start_of(folder, file)?;
     let outputs = network
         .heads()
         .map(|inputs| calibrated(inputs, &logits, known.as_ref()));
-    let outputs: Vec<OutputSpec> = outputs.collect();
+    let mut outputs: Vec<OutputSpec> = outputs.collect();
+    let train = Samples::open_all(data, "train")?;
+    let grasp_head = match &known {
+        Some(start) => grasp_head::refit(start.grasp_head(), &outputs, &logits),
+        None if file.settings.contact_epochs() > 0 => {
+            let of_train = logits_of(&network, &train)?;
+            grasp_head::fit(&outputs, &of_train, &logits, file.settings.seed)
+        }
+        None => GraspHead::default(),
+    };
+    logits.set_grasp_head(&grasp_head, &outputs);
+    for output in &mut outputs {
+        let logits = logits.of(output.modality);
+        if grasp_head.of(output.modality).is_some() && !logits.is_empty() {
+            output.threshold = threshold(logits, output.temperature);
+        }
+    }
     // The inputs that all samples have.
     let used = logits.complete();
     let used = used.and_then(|inputs| outputs.iter().find(|o| o.modality == inputs));
@@ -82,7 +100,6 @@ pub fn finish(
     if used.modality == contract.modality {
         add_conformal_scores(&mut contract, &validation, &scored);
     }
-    let train = Samples::open_all(data, "train")?;
     let lift_head = lift::fit(
         &train,
         &validation,
@@ -96,9 +113,21 @@ pub fn finish(
         let metadata = head.to_metadata();
         contract.other.insert(LIFT.to_owned(), metadata);
     }
+    if !grasp_head.estimators.is_empty() {
+        let metadata = grasp_head.to_metadata();
+        contract.other.insert(GRASP.to_owned(), metadata);
+        contract.contact = vec![InputName::TactileLeft, InputName::TactileRight];
+    }
     let start = known;
     let compared = |start: &StartModel| -> Result<Comparison> {
-        let before = logits_of(start.network())?;
+        let mut before = logits_of(start.network(), &validation)?;
+        // The temperature of the file is in the weights of its network.
+        let outputs = start.contract().outputs();
+        let outputs = outputs.map(|output| OutputSpec {
+            temperature: 1.0,
+            ..output
+        });
+        before.set_grasp_head(start.grasp_head(), &outputs.collect::<Vec<_>>());
         Ok(Comparison::new(
             start,
             used.modality,
@@ -164,15 +193,22 @@ fn calibrated(inputs: Modality, logits: &SplitLogits, start: Option<&StartModel>
 
 /// Fits temperature and threshold, rounded as they are written.
 pub(super) fn calibrate(logits: &[Logit]) -> (f64, f64) {
-    let rounded = |x: f64| (x * ROUNDING).round() / ROUNDING;
     let (values, stable): (Vec<f64>, Vec<bool>) =
         logits.iter().map(|x| (x.logit, x.is_stable)).unzip();
     let temperature = fit_temperature(&values, &stable).map_or(1.0, |fit| fit.temperature);
     let temperature = rounded(temperature);
+    (temperature, threshold(logits, temperature))
+}
+
+/// Threshold of logits at a temperature, rounded as it is written.
+fn threshold(logits: &[Logit], temperature: f64) -> f64 {
     let scored: Vec<_> = logits.iter().map(|x| x.scored(temperature)).collect();
     let threshold = rounded(even_odds_threshold(&scored).unwrap_or(0.5));
-    let threshold = threshold.clamp(1.0 / ROUNDING, 1.0 - 1.0 / ROUNDING);
-    (temperature, threshold)
+    threshold.clamp(1.0 / ROUNDING, 1.0 - 1.0 / ROUNDING)
+}
+
+fn rounded(x: f64) -> f64 {
+    (x * ROUNDING).round() / ROUNDING
 }
 
 fn contract(
@@ -239,6 +275,7 @@ fn contract(
         temperature: all.temperature,
         fallbacks: fallbacks.to_vec(),
         geometry: cameras.collect(),
+        contact: Vec::new(),
         crop_profile: Some(CropProfile::by_name(&file.crop_profile)?),
         card: card(file, best, validation),
         other,

@@ -15,6 +15,7 @@ mod evaluate;
 mod experiment;
 mod extents;
 mod finish;
+mod grasp_head;
 mod lift;
 mod logistic;
 pub mod metrics;

@@ -7,10 +7,10 @@ use super::*;
 use crate::augment::{Augmentation, SampleImages};
 use crate::sample_dataset::{row, write_dataset, write_split};
 use crate::samples::SampleReader;
-use crate::{finish, logits};
+use crate::{evaluate, finish, logits};
 use gripcast_base::catch_panic;
 use gripcast_nn::predict::contract::Modality;
-use gripcast_nn::predict::{Model, ModelInput, training_base_rate};
+use gripcast_nn::predict::{Model, ModelInput, grasp_head, training_base_rate};
 use gripcast_nn::{Architecture, ConvSpec};
 use gripcast_shear::ContactMaps;
 
@@ -137,7 +137,7 @@ fn exported_model_matches_network() {
 fn contact_maps_are_learned_before_the_labels() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
-    for (split, rows) in [(TRAIN, 16), (VALIDATION, 8)] {
+    for (split, rows) in [(TRAIN, 200), (VALIDATION, 48)] {
         let rows = (0..rows).map(|number| {
             let mut row = row(split, number);
             let depth_m = 2e-4 * (number % 2) as f64;
@@ -152,16 +152,44 @@ fn contact_maps_are_learned_before_the_labels() {
     let last = settings.architecture.convolutions[1];
     settings.architecture.convolutions.push(last);
     settings.architecture.pool = [2, 2];
-    settings.contact_epochs = 4;
+    (settings.contact_epochs, settings.epochs) = (2, 2);
     let out = folder.path().join("run");
     let trained = train(from_ref(&data), &out, &settings, None, &|_| {}).unwrap();
-    assert_eq!(trained.epochs, 7);
-    assert!(trained.best_epoch > 4, "{trained:?}");
-    let epochs = without_times(&RunFolder::at(&out));
+    assert_eq!(trained.epochs, 4);
+    assert!(trained.best_epoch > 2, "{trained:?}");
+    let run = RunFolder::at(&out);
+    let epochs = without_times(&run);
     assert!(
-        epochs[3].train_loss < 0.7 * epochs[0].train_loss,
+        epochs[1].train_loss < 0.7 * epochs[0].train_loss,
         "{epochs:?}"
     );
+    // The model predicts from the maps what training found.
+    let file = run.read().unwrap().unwrap();
+    let finished = finish(&run, &file, from_ref(&data), "maps", &|_| {}).unwrap();
+    let validation = Samples::open(&data, VALIDATION).unwrap();
+    let evaluated = |onnx: &[u8]| {
+        let model = Model::from_bytes(onnx).unwrap();
+        assert_eq!(model.contract().contact.len(), 2);
+        assert!(model.contract().other.contains_key(grasp_head::METADATA));
+        let models = [("maps".to_owned(), model)];
+        let report = evaluate(&models, &validation, None, "", &|_, _| {}).unwrap();
+        report.models[0].summary.clone()
+    };
+    let found = evaluated(&finished.onnx);
+    assert!((found.brier.unwrap() - finished.validation.brier.unwrap()).abs() < 1e-5);
+    assert_eq!(found.confusion, finished.validation.confusion);
+    // Fine-tuning keeps the trees.
+    let start = StartModel::by_name(out.to_str().unwrap()).unwrap();
+    let own = folder.path().join("own");
+    write_dataset(&own, 24);
+    let tuned = folder.path().join("tuned");
+    fine_tune(from_ref(&own), &tuned, &settings, &start, 0, &|_| {}).unwrap();
+    let tuned = RunFolder::at(&tuned);
+    let file = tuned.read().unwrap().unwrap();
+    let tuned = finish(&tuned, &file, from_ref(&own), "tuned", &|_| {}).unwrap();
+    let found = StartModel::from_bytes(tuned.onnx).unwrap();
+    let trees = |model: &StartModel| model.grasp_head().estimators[0].trees.clone();
+    assert_eq!(trees(&found), trees(&start));
     // A network whose feature map has other cells does not.
     let other = self::settings(Modality::T);
     let trained = train(

@@ -165,7 +165,7 @@ impl TrainSettings {
     }
 
     /// Number of epochs that learn the contact maps.
-    fn contact_epochs(&self) -> u32 {
+    pub(super) fn contact_epochs(&self) -> u32 {
         let is_learned = self.modality.has_touch() && self.architecture.has_contact();
         match self.fine_tuning {
             None if is_learned => self.contact_epochs,

@@ -9,7 +9,9 @@ use super::samples::Samples;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, sha256_hex};
 use gripcast_nn::predict::contract::{InputName, Origin, RgbNormalisation};
-use gripcast_nn::predict::{LiftHead, ModelContract, OodDetector, SHIPPED, lift, model_bytes, ood};
+use gripcast_nn::predict::{
+    GraspHead, LiftHead, ModelContract, OodDetector, SHIPPED, grasp_head, lift, model_bytes, ood,
+};
 use gripcast_nn::{Architecture, Network, from_onnx};
 
 /// A model that `train` wrote, ready to be trained further.
@@ -21,6 +23,7 @@ pub struct StartModel {
     network: Network,
     architecture: Architecture,
     ood_detector: Option<OodDetector>,
+    grasp_head: GraspHead,
     lift_head: Option<LiftHead>,
 }
 
@@ -54,7 +57,7 @@ impl StartModel {
         Self::from_bytes(bytes).map_err(|e| e.at(path.display()))
     }
 
-    fn from_bytes(bytes: Vec<u8>) -> Result<Self> {
+    pub(super) fn from_bytes(bytes: Vec<u8>) -> Result<Self> {
         let (network, contract) = from_onnx(&bytes).map_err(refused)?;
         let not_trained = |why: &str| {
             let what = format!("cannot fine-tune the model `{}`: {why}", contract.name);
@@ -76,11 +79,17 @@ impl StartModel {
         let ood_detector = ood_detector
             .map(|text| OodDetector::from_metadata(text))
             .transpose()?;
+        let grasp_head = contract.other.get(grasp_head::METADATA);
+        let grasp_head = grasp_head
+            .map(|text| GraspHead::from_metadata(text))
+            .transpose()?
+            .unwrap_or_default();
         let lift_head = contract.other.get(lift::METADATA);
         let lift_head = lift_head
             .map(|text| LiftHead::from_metadata(text))
             .transpose()?;
         Ok(Self {
+            grasp_head,
             lift_head,
             sha256: sha256_hex(&bytes),
             bytes,
@@ -119,6 +128,11 @@ impl StartModel {
     /// OOD detector of the model, if any.
     pub(super) fn ood_detector(&self) -> Option<&OodDetector> {
         self.ood_detector.as_ref()
+    }
+
+    /// Prediction before the lift from what the network reads; empty if the model has none.
+    pub(super) fn grasp_head(&self) -> &GraspHead {
+        &self.grasp_head
     }
 
     /// Verdict in the lift, if the model has it.

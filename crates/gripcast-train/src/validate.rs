@@ -7,13 +7,16 @@ use super::samples::Samples;
 use super::settings::TrainSettings;
 use gripcast_base::error::Result;
 use gripcast_nn::predict::contract::{
-    GEOMETRY, GEOMETRY_UNIT_M, InputName, Modality, RgbNormalisation,
+    CONTACT_SHAPE, GEOMETRY, GEOMETRY_UNIT_M, InputName, Modality, RgbNormalisation,
 };
+use gripcast_nn::predict::grasp_head::{GEL_FEATURES, gel_features};
 use gripcast_nn::{ExtentHead, Network, extent_units};
 
 /// Cached bytes of images; samples are read in order.
 const MEMORY: usize = 1 << 25;
 const BATCH_SIZE: usize = 32;
+/// Numbers of a contact map.
+const CONTACT: usize = CONTACT_SHAPE[1] as usize;
 
 /// Logit and label of a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,6 +49,8 @@ pub struct SplitLogits {
     /// Extents as the encoders estimate them, [`GEOMETRY`] numbers in units of 0.03 m per sample, by
     /// input.
     extents: Vec<(InputName, Vec<f32>)>,
+    /// Features of both gels' contact maps by sample; empty if the network does not read them.
+    gels: Vec<[f64; GEL_FEATURES]>,
     /// Mean absolute error of the geometry, m; none where it is unknown.
     pub geometry_error_m: Option<f64>,
 }
@@ -76,16 +81,50 @@ impl SplitLogits {
     /// Index and [extent units](extent_units) of the camera images, in the order of the inputs, of
     /// each sample that has these inputs; none if the network does not estimate extents from them.
     pub(super) fn units_of(&self, inputs: Modality) -> Option<Vec<(usize, Vec<f64>)>> {
-        let cameras = inputs.cameras()?.inputs().into_iter();
-        let extents = cameras.map(|camera| self.extents.iter().find(|(of, _)| *of == camera));
+        inputs.cameras()?;
+        let samples = self.extents_of(inputs)?.into_iter();
+        let units = |extents: Vec<&[f32]>| extents.into_iter().flat_map(extent_units).collect();
+        Some(samples.map(|(sample, of)| (sample, units(of))).collect())
+    }
+
+    /// Index and features of the grasp head of each sample that has these inputs, which include touch;
+    /// none if the network does not read them.
+    pub(super) fn readings_of(&self, inputs: Modality) -> Option<Vec<(usize, Vec<f64>)>> {
+        if self.gels.is_empty() || !inputs.has_touch() {
+            return None;
+        }
+        let samples = self.extents_of(inputs)?.into_iter();
+        let features = |sample: usize, extents: Vec<&[f32]>| {
+            let extents = extents.into_iter().flatten().copied().map(f64::from);
+            self.gels[sample].into_iter().chain(extents).collect()
+        };
+        Some(samples.map(|(i, of)| (i, features(i, of))).collect())
+    }
+
+    /// Index and extents by camera image, in the order of the inputs, of each sample that has these
+    /// inputs; none if the network does not estimate extents from them.
+    fn extents_of(&self, inputs: Modality) -> Option<Vec<(usize, Vec<&[f32]>)>> {
+        let cameras = inputs.cameras().map_or_else(Vec::new, Modality::inputs);
+        let extents = cameras
+            .into_iter()
+            .map(|camera| self.extents.iter().find(|(of, _)| *of == camera));
         let extents: Vec<_> = extents.collect::<Option<_>>()?;
         let samples = self.available.iter().enumerate();
         let samples = samples.filter(|(_, available)| available.includes(inputs));
-        let units = |sample: usize| {
-            let of = extents.iter().map(|(_, all)| &all[sample * GEOMETRY..]);
-            of.flat_map(extent_units).collect()
+        let of = |sample: usize| {
+            let of = extents.iter();
+            of.map(|(_, all)| &all[sample * GEOMETRY..][..GEOMETRY])
+                .collect()
         };
-        Some(samples.map(|(sample, _)| (sample, units(sample))).collect())
+        Some(samples.map(|(sample, _)| (sample, of(sample))).collect())
+    }
+
+    /// Changes the log-odds of a sample from some inputs.
+    pub(super) fn update(&mut self, inputs: Modality, sample: usize, f: impl Fn(f64) -> f64) {
+        if let Some(at) = self.heads.iter().position(|head| *head == inputs) {
+            let logit = &mut self.logits[at][sample].logit;
+            *logit = f(*logit);
+        }
     }
 
     /// Computes the predictions from touch alone again, after its encoder was trained.
@@ -155,6 +194,7 @@ pub fn logits(
     let mut logits = vec![Vec::with_capacity(all.len()); heads.len()];
     let mut available = Vec::with_capacity(all.len());
     let mut extents: Vec<(InputName, Vec<f32>)> = Vec::new();
+    let mut gels = Vec::new();
     let (mut error, mut known) = (0.0, 0_usize);
     for indices in all.chunks(BATCH_SIZE) {
         let batch = batches.batch(indices, None)?;
@@ -178,6 +218,9 @@ pub fn logits(
                 None => extents.push((input, found)),
             }
         }
+        let (left, right) = outputs.contact.split_at(outputs.contact.len() / 2);
+        let maps = left.chunks_exact(CONTACT).zip(right.chunks_exact(CONTACT));
+        gels.extend(maps.map(|(left, right)| gel_features([left, right])));
         available.extend(batch.available);
         on_progress(available.len());
     }
@@ -186,6 +229,7 @@ pub fn logits(
         logits,
         available,
         extents,
+        gels,
         geometry_error_m: (known > 0).then(|| error / known as f64),
     })
 }

@@ -3,7 +3,7 @@
 use super::{EncoderPass, Network, Scope, backward_linear, linear};
 use crate::architecture::{EncoderKind, GEOMETRY};
 use crate::batch::Batch;
-use crate::predict::contract::Modality;
+use crate::predict::contract::{CONTACT_CELLS, CONTACT_CHANNELS, Modality};
 
 /// Weight of the predictions from all inputs in the loss; those from fewer share the rest.
 const FULL_WEIGHT: f64 = 0.5;
@@ -108,6 +108,27 @@ impl Network {
         let slopes: Vec<f32> = slopes.collect();
         let dlast = backward_linear(last, &slopes, self, weight, bias, gradient);
         (loss, dlast)
+    }
+}
+
+impl Network {
+    /// Contact maps of all tactile differences, planes of cells by channel; empty without what reads
+    /// them.
+    pub(super) fn contact_maps(&self, passes: &[EncoderPass]) -> Vec<f32> {
+        let encoders = self.layout.encoders.iter().zip(passes);
+        let mut touch = encoders.filter(|(encoder, _)| encoder.kind == EncoderKind::Touch);
+        let last = touch.next().and_then(|(_, pass)| pass.a.last());
+        let (Some([weight, bias]), Some(last)) = (&self.layout.contact, last) else {
+            return Vec::new();
+        };
+        let found = linear(last, self.values(weight), self.values(bias), false);
+        let cells: usize = CONTACT_CELLS.iter().product();
+        let maps = found.chunks_exact(cells * CONTACT_CHANNELS);
+        maps.flat_map(|map| {
+            let planes = (0..CONTACT_CHANNELS).map(move |channel| &map[channel..]);
+            planes.flat_map(|plane| plane.iter().step_by(CONTACT_CHANNELS).copied())
+        })
+        .collect()
     }
 }
 

@@ -65,6 +65,7 @@ pub fn contract() -> ModelContract {
         temperature: 1.0,
         fallbacks: Vec::new(),
         geometry: Vec::new(),
+        contact: Vec::new(),
         crop_profile: None,
         card: CARD.to_owned(),
         other: [("gripcast.licence", "MIT OR Apache-2.0")]

@@ -16,6 +16,7 @@
 //! | `gripcast.temperature` | calibration temperature, already part of the graph |
 //! | `gripcast.fallbacks` | JSON list of [`OutputSpec`]: outputs from fewer inputs, `p_stable_t`, …; absent without any |
 //! | `gripcast.geometry` | JSON list of the inputs from which the graph reads the geometry, output `geometry_depth`, …; absent without any |
+//! | `gripcast.contact` | JSON list of the tactile inputs from which the graph reads contact maps, outputs `contact_tactile_left`, …; absent without any |
 //! | `gripcast.crop_profile` | crop of the tactile images; `any` if the model does not depend on it |
 //! | `gripcast.seed`, `gripcast.train.manifest_sha256` | origin of a trained model; `none` for a heuristic |
 //! | `gripcast.card` | Markdown: intended use, data, limits, licence |
@@ -31,9 +32,9 @@ use tract_onnx::pb::{ModelProto, StringStringEntryProto};
 use super::graph_check::{check_graph, list, refusal};
 use super::onnx::OnnxGraphBuilder;
 pub use super::tensors::{
-    GEOMETRY, GEOMETRY_SHAPE, GEOMETRY_UNIT_M, IMAGE_HEIGHT, IMAGE_WIDTH, INPUT_SHAPE, InputName,
-    InputSpec, Modality, OUTPUT, OUTPUT_SHAPE, RgbNormalisation, geometry_output, is_fallback,
-    output_of,
+    CONTACT_CELLS, CONTACT_CHANNELS, CONTACT_SHAPE, GEOMETRY, GEOMETRY_SHAPE, GEOMETRY_UNIT_M,
+    IMAGE_HEIGHT, IMAGE_WIDTH, INPUT_SHAPE, InputName, InputSpec, Modality, OUTPUT, OUTPUT_SHAPE,
+    RgbNormalisation, contact_output, geometry_output, is_fallback, output_of,
 };
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::CropProfile;
@@ -47,6 +48,8 @@ const NONE: &str = "none";
 const FALLBACKS: &str = "gripcast.fallbacks";
 /// Key of the inputs from which the geometry is read.
 const GEOMETRY_INPUTS: &str = "gripcast.geometry";
+/// Key of the inputs from which contact maps are read.
+const CONTACT_INPUTS: &str = "gripcast.contact";
 /// Start of the contract's keys.
 const PREFIX: &str = "gripcast.";
 const HOW_TO_EXPORT: &str = "write gripcast's contract into the file with `gripcast predict stamp`, \
@@ -110,6 +113,8 @@ pub struct ModelContract {
     pub fallbacks: Vec<OutputSpec>,
     /// Inputs from which the graph reads the geometry of the grasp.
     pub geometry: Vec<InputName>,
+    /// Tactile inputs from which the graph reads contact maps: both or none.
+    pub contact: Vec<InputName>,
     /// Crop of the tactile images; `None` if the model does not depend on it.
     pub crop_profile: Option<CropProfile>,
     /// Markdown: intended use, data, limits, licence.
@@ -200,6 +205,10 @@ impl ModelContract {
         if !self.geometry.is_empty() {
             let list = text(serde_json::to_string(&self.geometry))?;
             metadata.insert(GEOMETRY_INPUTS.to_owned(), list);
+        }
+        if !self.contact.is_empty() {
+            let list = text(serde_json::to_string(&self.contact))?;
+            metadata.insert(CONTACT_INPUTS.to_owned(), list);
         }
         metadata.extend(pairs.map(|(key, value)| (key.to_owned(), value)));
         Ok(metadata)
@@ -317,6 +326,7 @@ impl ModelContract {
             temperature: metadata.parse("gripcast.temperature", "a number")?,
             fallbacks: metadata.list(FALLBACKS)?,
             geometry: metadata.list(GEOMETRY_INPUTS)?,
+            contact: metadata.list(CONTACT_INPUTS)?,
             crop_profile: metadata.crop_profile()?,
             card: metadata.take("gripcast.card")?,
             other: metadata.rest(),
@@ -367,6 +377,15 @@ impl ModelContract {
             return Err(refusal(format!(
                 "`{GEOMETRY_INPUTS}`: expected `rgb` and `depth` of the inputs, found {}",
                 list(&self.geometry)
+            )));
+        }
+        let gels = [InputName::TactileLeft, InputName::TactileRight];
+        let reads_gels = all.has_touch() && self.contact == gels;
+        if !self.contact.is_empty() && !reads_gels {
+            return Err(refusal(format!(
+                "`{CONTACT_INPUTS}`: expected {} of a model with touch, found {}",
+                list(gels),
+                list(&self.contact)
             )));
         }
         if let Origin::Trained {

@@ -57,6 +57,7 @@ fn trained(modality: Modality) -> ModelContract {
         temperature: 1.7,
         fallbacks: Vec::new(),
         geometry: Vec::new(),
+        contact: Vec::new(),
         crop_profile: Some(CropProfile::GSMINI_SEVENTH),
         card: "# net\n".to_owned(),
         other: [("gripcast.val.auroc".to_owned(), "0.93".to_owned())].into(),

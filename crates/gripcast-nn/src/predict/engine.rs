@@ -16,9 +16,11 @@ use tract_onnx::tract_core::plan::eval;
 
 use super::conformal::{self, ConformalLimits, ConformalScores};
 use super::contract::{
-    self, GEOMETRY, GEOMETRY_UNIT_M, InputName, Modality, ModelContract, geometry_output, output_of,
+    self, GEOMETRY, GEOMETRY_UNIT_M, InputName, Modality, ModelContract, contact_output,
+    geometry_output, output_of,
 };
 use super::graph_check;
+use super::grasp_head::{self, GraspHead};
 use super::input::{InputTensor, ModelInput};
 use super::lift::{self, LiftHead};
 use super::native_engine::NativeEngine;
@@ -36,6 +38,7 @@ pub struct Model {
     sha256: String,
     load_ms: f64,
     ood_detector: Option<OodDetector>,
+    grasp_head: GraspHead,
     lift_head: Option<LiftHead>,
     conformal_scores: Option<ConformalScores>,
     engine: Engine,
@@ -67,11 +70,27 @@ impl Engine {
 }
 
 /// Outputs of an engine for one grasp.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Values {
     pub(super) p_stable: f32,
-    /// Geometry in units of 0.03 m.
-    pub(super) geometry: Option<[f32; GEOMETRY]>,
+    /// Geometry in units of 0.03 m, by camera input.
+    pub(super) geometry: Vec<(InputName, [f32; GEOMETRY])>,
+    /// Contact maps of the left and the right gel, as in the outputs; empty without touch.
+    pub(super) contact: Vec<Vec<f32>>,
+}
+
+impl Values {
+    /// Features of the grasp head.
+    fn features(&self) -> Vec<f64> {
+        let gels = match &self.contact[..] {
+            [left, right] => grasp_head::gel_features([left, right]).to_vec(),
+            _ => Vec::new(),
+        };
+        let extents = self.geometry.iter().flat_map(|(_, values)| values);
+        gels.into_iter()
+            .chain(extents.copied().map(f64::from))
+            .collect()
+    }
 }
 
 /// Prediction of one grasp.
@@ -115,6 +134,12 @@ impl Model {
         let ood_detector = ood_detector
             .map(|text| OodDetector::from_metadata(text))
             .transpose()?;
+        let grasp_head = contract.other.get(grasp_head::METADATA);
+        let grasp_head = grasp_head
+            .map(|text| GraspHead::from_metadata(text))
+            .transpose()?
+            .unwrap_or_default();
+        check_readings(&grasp_head, &contract)?;
         let lift_head = contract.other.get(lift::METADATA);
         let lift_head = lift_head
             .map(|text| LiftHead::from_metadata(text))
@@ -136,6 +161,7 @@ impl Model {
             sha256: sha256_hex(bytes),
             load_ms: 0.0,
             ood_detector,
+            grasp_head,
             lift_head,
             conformal_scores,
             engine,
@@ -252,14 +278,29 @@ impl Model {
                 model,
             } => {
                 let name = output_of(output.modality, self.contract.modality);
-                let geometry = self.contract.geometry.iter().rev();
-                let geometry = geometry.copied().find(|name| output.modality.has(*name));
-                let wanted = |name: &str| outputs.iter().position(|output| output == name);
-                let places = [
-                    wanted(&name),
-                    geometry.and_then(|input| wanted(&geometry_output(input))),
-                ];
-                run_tract(order, model, input, places)?
+                let used = |inputs: &[InputName]| -> Vec<InputName> {
+                    let inputs = inputs.iter().copied();
+                    inputs.filter(|name| output.modality.has(*name)).collect()
+                };
+                let (cameras, gels) = (used(&self.contract.geometry), used(&self.contract.contact));
+                let names = [name].into_iter();
+                let names = names.chain(cameras.iter().map(|input| geometry_output(*input)));
+                let names = names.chain(gels.iter().map(|input| contact_output(*input)));
+                let place = |name: String| outputs.iter().position(|output| *output == name);
+                let places: Vec<Option<usize>> = names.map(place).collect();
+                let mut found = run_tract(order, model, input, &places)?.into_iter();
+                let p_stable = match found.next().as_deref() {
+                    Some([p_stable]) => *p_stable,
+                    _ => f32::NAN,
+                };
+                let geometry = cameras.into_iter().zip(found.by_ref());
+                let geometry =
+                    geometry.map(|(input, values)| Some((input, values.try_into().ok()?)));
+                Values {
+                    p_stable,
+                    geometry: geometry.flatten().collect(),
+                    contact: found.collect(),
+                }
             }
         };
         let p_stable = values.p_stable;
@@ -270,14 +311,20 @@ impl Model {
                 contract::OUTPUT
             )));
         }
+        let p_stable = match self.grasp_head.of(output.modality) {
+            Some(estimator) => estimator.probability(f64::from(p_stable), &values.features())?,
+            None => f64::from(p_stable),
+        };
         let metres = |values: [f32; GEOMETRY]| values.map(|x| f64::from(x) * GEOMETRY_UNIT_M);
         Ok(Prediction {
-            p_stable: f64::from(p_stable),
+            p_stable,
             modality: output.modality,
             threshold: output.threshold,
+            // The depth image, which comes last, shows it best.
             geometry: values
                 .geometry
-                .map(|values| GraspGeometry::from_array(metres(values))),
+                .last()
+                .map(|(_, values)| GraspGeometry::from_array(metres(*values))),
             engine_ms: milliseconds_since(started),
         })
     }
@@ -300,12 +347,30 @@ impl Model {
     }
 }
 
+/// Refuses a grasp head whose readings are not outputs of the graph.
+fn check_readings(head: &GraspHead, contract: &ModelContract) -> Result<()> {
+    let is_read = |input: InputName| match input.role().is_tactile() {
+        true => contract.contact.contains(&input),
+        false => contract.geometry.contains(&input),
+    };
+    let estimators = head.estimators.iter();
+    let inputs = estimators.flat_map(|estimator| estimator.modality.inputs());
+    match inputs.into_iter().find(|input| !is_read(*input)) {
+        None => Ok(()),
+        Some(input) => Err(Error::input(format!(
+            "`{}` of the model reads `{input}`, for which the graph has no output",
+            grasp_head::METADATA
+        ))
+        .remedy("train or export the model again")),
+    }
+}
+
 fn run_tract(
     order: &[InputName],
     model: &Arc<TypedRunnableModel>,
     input: &ModelInput,
-    [p_stable, geometry]: [Option<usize>; 2],
-) -> Result<Values> {
+    places: &[Option<usize>],
+) -> Result<Vec<Vec<f32>>> {
     // The wanted outputs do not depend on inputs that are not available.
     let tensors = order.iter().filter_map(|name| input.tensor(*name));
     let tensors: TVec<TValue> = tensors.map(InputTensor::to_tvalue).collect();
@@ -330,14 +395,7 @@ fn run_tract(
                 .transpose()?;
             Ok(values.unwrap_or_default().to_vec())
         };
-        let p_stable = match values(p_stable)?[..] {
-            [p_stable] => p_stable,
-            _ => f32::NAN,
-        };
-        Ok(Values {
-            p_stable,
-            geometry: values(geometry)?.try_into().ok(),
-        })
+        places.iter().map(|place| values(*place)).collect()
     })?;
     match nan {
         None => Ok(run),

@@ -11,7 +11,10 @@ use tract_onnx::pb::{GraphProto, ModelProto, NodeProto, ValueInfoProto, type_pro
 use super::constants::check_constants;
 use super::contract::ModelContract;
 use super::onnx::PYTORCH_EXPORT;
-use super::tensors::{GEOMETRY_SHAPE, INPUT_SHAPE, OUTPUT_SHAPE, geometry_output, output_of};
+use super::tensors::{
+    CONTACT_SHAPE, GEOMETRY_SHAPE, INPUT_SHAPE, OUTPUT_SHAPE, contact_output, geometry_output,
+    output_of,
+};
 use gripcast_base::error::{Error, Result};
 
 /// Supported operator sets.
@@ -53,7 +56,10 @@ pub(super) fn check_graph(contract: &ModelContract, model: &ModelProto) -> Resul
     let predictions = predictions.map(|o| (output_of(o.modality, modality), OUTPUT_SHAPE));
     let geometry = contract.geometry.iter();
     let geometry = geometry.map(|input| (geometry_output(*input), GEOMETRY_SHAPE));
-    let expected: BTreeMap<String, [i64; 2]> = predictions.chain(geometry).collect();
+    let contact = contract.contact.iter();
+    let contact = contact.map(|input| (contact_output(*input), CONTACT_SHAPE));
+    let expected = predictions.chain(geometry).chain(contact);
+    let expected: BTreeMap<String, [i64; 2]> = expected.collect();
     let names: BTreeSet<&str> = graph.output.iter().map(|output| &*output.name).collect();
     if graph.output.len() != expected.len() || !names.iter().eq(expected.keys()) {
         let what = match expected.len() {

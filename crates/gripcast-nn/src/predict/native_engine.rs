@@ -25,6 +25,8 @@ pub(super) struct NativeEngine {
     heads: Vec<Head>,
     /// Whether the first numbers of a camera's embedding are the geometry.
     geometry: bool,
+    /// Weight, outputs × inputs, and bias of what reads the contact maps.
+    contact: Option<[Vec<f32>; 2]>,
     empty: Buffers,
     /// Buffers for reuse.
     free: Mutex<Vec<Buffers>>,
@@ -103,6 +105,15 @@ impl NativeEngine {
             })
         });
         let heads = heads.collect::<Option<_>>()?;
+        let contact = match graph.reads_contact {
+            true => {
+                let [weight, bias] = graph.contact()?;
+                // The maps are read before the projection, whose input is not larger.
+                let is_bounded = bound_after(largest, &weight, &bias) <= OUTPUT_BOUND;
+                Some(is_bounded.then_some([weight, bias])?)
+            }
+            false => None,
+        };
         let geometry = architecture.geometry;
         if geometry && architecture.camera_embedding < GEOMETRY && modality != Modality::T {
             return None;
@@ -115,6 +126,7 @@ impl NativeEngine {
             pool: architecture.pool,
             heads,
             geometry,
+            contact,
             empty: Buffers {
                 images: images.collect(),
                 ..Buffers::default()
@@ -146,7 +158,7 @@ impl NativeEngine {
             joined,
         } = buffers;
         joined.clear();
-        let mut geometry = None;
+        let (mut geometry, mut contact) = (Vec::new(), Vec::new());
         for encoder in &self.encoders {
             if !encoder.kind.is_in(modality) {
                 continue;
@@ -154,13 +166,19 @@ impl NativeEngine {
             pooled.clear();
             for name in encoder.kind.inputs() {
                 encoder.convolve(input.values(*name)?, images);
-                images.last()?.pool(self.pool, pooled);
+                let last = images.last()?;
+                last.pool(self.pool, pooled);
+                if let (EncoderKind::Touch, Some([weight, bias])) = (encoder.kind, &self.contact) {
+                    contact.push(last.planes_of(weight, bias));
+                }
             }
             encoder.projection.forward(pooled, numbers);
             joined.extend_from_slice(numbers);
             if self.geometry && encoder.kind != EncoderKind::Touch {
-                // The depth image, which comes last, shows it best.
-                geometry = numbers.first_chunk().copied();
+                let [name] = encoder.kind.inputs() else {
+                    return None;
+                };
+                geometry.push((*name, *numbers.first_chunk()?));
             }
         }
         head.hidden.forward(joined, numbers);
@@ -169,6 +187,7 @@ impl NativeEngine {
         Some(Values {
             p_stable: 1.0 / (1.0 + (-logit).exp()),
             geometry,
+            contact,
         })
     }
 }

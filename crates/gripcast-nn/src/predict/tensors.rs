@@ -5,6 +5,7 @@ use std::fmt::{self, Debug, Display};
 use serde::{Deserialize, Serialize};
 
 use gripcast_imaging::{CropProfile, Role};
+use gripcast_shear::ContactMaps;
 
 /// Width of input images, pixels.
 pub const IMAGE_WIDTH: u32 = 320;
@@ -23,6 +24,18 @@ pub const GEOMETRY: usize = gripcast_geometry::GraspGeometry::LEN;
 pub const GEOMETRY_UNIT_M: f64 = 0.03;
 /// Shape of the output `geometry_rgb` or `geometry_depth`: the geometry in units of 0.03 m.
 pub const GEOMETRY_SHAPE: [i64; 2] = [1, GEOMETRY as i64];
+
+/// Rows and columns of the cells of a contact map.
+pub const CONTACT_CELLS: [usize; 2] = ContactMaps::CELLS;
+/// Numbers of a cell of a contact map as the touch encoder learns it: displacement into the gel, its
+/// slope to the right and down, and the displacement to the right and down.
+pub const CONTACT_CHANNELS: usize = 5;
+/// Shape of the outputs `contact_tactile_left` and `contact_tactile_right`: planes of cells by
+/// channel, in units of 0.25 mm for the displacement into the gel and 0.125 mm for the others.
+pub const CONTACT_SHAPE: [i64; 2] = [
+    1,
+    (CONTACT_CHANNELS * CONTACT_CELLS[0] * CONTACT_CELLS[1]) as i64,
+];
 
 /// Name of the output of the predictions from `inputs` in a model with the inputs `all`.
 #[must_use]
@@ -44,6 +57,12 @@ pub fn is_fallback(output: &str) -> bool {
 #[must_use]
 pub fn geometry_output(input: InputName) -> String {
     format!("geometry_{input}")
+}
+
+/// Name of the output of the contact map that is read from a tactile input.
+#[must_use]
+pub fn contact_output(input: InputName) -> String {
+    format!("contact_{input}")
 }
 
 /// Name of an input tensor.
