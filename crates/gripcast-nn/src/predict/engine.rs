@@ -189,6 +189,14 @@ impl Model {
         Ok(model)
     }
 
+    /// The same model with the network's own predictions.
+    pub(super) fn without_grasp_head(self) -> Self {
+        Self {
+            grasp_head: GraspHead::default(),
+            ..self
+        }
+    }
+
     /// Prediction of the native engine for zeros; none if it does not support the graph.
     #[cfg(test)]
     pub(crate) fn native_prediction_for_zeros(
