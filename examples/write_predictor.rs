@@ -55,6 +55,7 @@ pub(crate) fn onnx() -> Result<Vec<u8>> {
         temperature: 1.0,
         fallbacks: Vec::new(),
         geometry: Vec::new(),
+        contact: Vec::new(),
         crop_profile: None,
         card: "Asks whether the weaker contact exceeds a limit. Not trained.".into(),
         other: [("gripcast.licence".into(), "CC0-1.0".into())].into(),
