@@ -82,9 +82,13 @@ impl SplitLogits {
     /// each sample that has these inputs; none if the network does not estimate extents from them.
     pub(super) fn units_of(&self, inputs: Modality) -> Option<Vec<(usize, Vec<f64>)>> {
         inputs.cameras()?;
-        let samples = self.extents_of(inputs)?.into_iter();
-        let units = |extents: Vec<&[f32]>| extents.into_iter().flat_map(extent_units).collect();
-        Some(samples.map(|(sample, of)| (sample, units(of))).collect())
+        let extents = self.extents_of(inputs)?;
+        let units = |sample: usize| {
+            let of = extents.iter().map(|all| &all[sample * GEOMETRY..]);
+            of.flat_map(extent_units).collect()
+        };
+        let samples = self.samples_with(inputs);
+        Some(samples.map(|sample| (sample, units(sample))).collect())
     }
 
     /// Index and features of the grasp head of each sample that has these inputs, which include touch;
@@ -93,30 +97,35 @@ impl SplitLogits {
         if self.gels.is_empty() || !inputs.has_touch() {
             return None;
         }
-        let samples = self.extents_of(inputs)?.into_iter();
-        let features = |sample: usize, extents: Vec<&[f32]>| {
-            let extents = extents.into_iter().flatten().copied().map(f64::from);
-            self.gels[sample].into_iter().chain(extents).collect()
+        let extents = self.extents_of(inputs)?;
+        let features = |sample: usize| {
+            let of = extents.iter();
+            let of = of.flat_map(|all| &all[sample * GEOMETRY..][..GEOMETRY]);
+            let gels = self.gels[sample].into_iter();
+            gels.chain(of.copied().map(f64::from)).collect()
         };
-        Some(samples.map(|(i, of)| (i, features(i, of))).collect())
+        let samples = self.samples_with(inputs);
+        Some(samples.map(|sample| (sample, features(sample))).collect())
     }
 
-    /// Index and extents by camera image, in the order of the inputs, of each sample that has these
-    /// inputs; none if the network does not estimate extents from them.
-    fn extents_of(&self, inputs: Modality) -> Option<Vec<(usize, Vec<&[f32]>)>> {
+    /// Extents of all samples by camera image, in the order of the inputs; none if the network does not
+    /// estimate extents from one of them.
+    fn extents_of(&self, inputs: Modality) -> Option<Vec<&[f32]>> {
         let cameras = inputs.cameras().map_or_else(Vec::new, Modality::inputs);
-        let extents = cameras
-            .into_iter()
-            .map(|camera| self.extents.iter().find(|(of, _)| *of == camera));
-        let extents: Vec<_> = extents.collect::<Option<_>>()?;
+        let extents = cameras.into_iter().map(|camera| {
+            let mut all = self.extents.iter();
+            let found = all.find(|(of, _)| *of == camera);
+            found.map(|(_, values)| &values[..])
+        });
+        extents.collect()
+    }
+
+    /// Indices of the samples that have these inputs.
+    fn samples_with(&self, inputs: Modality) -> impl Iterator<Item = usize> {
         let samples = self.available.iter().enumerate();
-        let samples = samples.filter(|(_, available)| available.includes(inputs));
-        let of = |sample: usize| {
-            let of = extents.iter();
-            of.map(|(_, all)| &all[sample * GEOMETRY..][..GEOMETRY])
-                .collect()
-        };
-        Some(samples.map(|(sample, _)| (sample, of(sample))).collect())
+        samples
+            .filter(move |(_, available)| available.includes(inputs))
+            .map(|(sample, _)| sample)
     }
 
     /// Changes the log-odds of a sample from some inputs.
