@@ -22,6 +22,19 @@ pub(super) struct BoostingSettings {
     pub(super) feature_fraction: f64,
 }
 
+impl BoostingSettings {
+    /// Common values. On the validation splits of plans 2037 and 2041 six other settings of the grasp
+    /// head and two of the verdict in the lift were no better.
+    pub(super) const DEFAULT: Self = Self {
+        trees: 200,
+        learning_rate: 0.05,
+        leaves: 15,
+        min_leaf_weight: 10.0,
+        l2: 5.0,
+        feature_fraction: 0.5,
+    };
+}
+
 /// Trains trees whose score is the log-odds of the label, from the features, labels and positive
 /// weights of samples. Both labels have the same weight in sum. None without samples of both, or
 /// with a feature that is not finite.
