@@ -23,8 +23,8 @@ pub(super) struct BoostingSettings {
 }
 
 impl BoostingSettings {
-    /// Common values. On the validation splits of plans 2037 and 2041 six other settings of the grasp
-    /// head and two of the verdict in the lift were no better.
+    /// Common values. On the validation splits of plans 2037 and 2041 other settings of the grasp head
+    /// are within 0.003 in AUROC, and two of the verdict in the lift no better.
     pub(super) const DEFAULT: Self = Self {
         trees: 200,
         learning_rate: 0.05,
