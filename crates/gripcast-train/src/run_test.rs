@@ -148,19 +148,20 @@ fn contact_maps_are_learned_before_the_labels() {
         });
         write_split(&data, split, rows);
     }
-    let mut settings = settings(Modality::T);
+    let mut settings = settings(Modality::Vtd);
     let last = settings.architecture.convolutions[1];
     settings.architecture.convolutions.push(last);
     settings.architecture.pool = [2, 2];
     (settings.contact_epochs, settings.epochs) = (2, 2);
     let out = folder.path().join("run");
     let trained = train(from_ref(&data), &out, &settings, None, &|_| {}).unwrap();
-    assert_eq!(trained.epochs, 4);
-    assert!(trained.best_epoch > 2, "{trained:?}");
+    // One epoch of the extents, two of the maps, two of the labels.
+    assert_eq!(trained.epochs, 5);
+    assert!(trained.best_epoch > 3, "{trained:?}");
     let run = RunFolder::at(&out);
     let epochs = without_times(&run);
     assert!(
-        epochs[1].train_loss < 0.7 * epochs[0].train_loss,
+        epochs[2].train_loss < 0.7 * epochs[1].train_loss,
         "{epochs:?}"
     );
     // The model predicts from the maps what training found.

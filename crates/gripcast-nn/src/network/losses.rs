@@ -1,7 +1,7 @@
 //! Losses of geometry and contact maps, and the weights of all losses.
 
 use super::{EncoderPass, Network, Scope, backward_linear, linear};
-use crate::architecture::{EncoderKind, GEOMETRY};
+use crate::architecture::{EncoderKind, GEOMETRY, Param};
 use crate::batch::Batch;
 use crate::predict::contract::{CONTACT_CELLS, CONTACT_CHANNELS, Modality};
 
@@ -85,13 +85,10 @@ impl Network {
         scope: Scope,
         gradient: &mut [f32],
     ) -> (f64, Vec<f32>) {
-        let contact = self.layout.contact.as_ref();
-        let contact = contact.filter(|_| scope.trains_contact());
-        let encoders = self.layout.encoders.iter().zip(passes);
-        let mut touch = encoders.filter(|(encoder, _)| encoder.kind == EncoderKind::Touch);
-        let last = touch.next().and_then(|(_, pass)| pass.a.last());
+        let layer = self.contact_layer(passes);
+        let layer = layer.filter(|_| scope.trains_contact());
         let known = batch.contact.iter().filter(|x| x.is_finite()).count();
-        let (Some([weight, bias]), Some(last), 1..) = (contact, last, known) else {
+        let (Some(([weight, bias], last)), 1..) = (layer, known) else {
             return (0.0, Vec::new());
         };
         let found = linear(last, self.values(weight), self.values(bias), false);
@@ -109,16 +106,22 @@ impl Network {
         let dlast = backward_linear(last, &slopes, self, weight, bias, gradient);
         (loss, dlast)
     }
-}
 
-impl Network {
+    /// What reads the contact maps, and what it reads: the last output of the touch encoder.
+    fn contact_layer<'a>(
+        &'a self,
+        passes: &'a [EncoderPass],
+    ) -> Option<(&'a [Param; 2], &'a [f32])> {
+        let encoders = self.layout.encoders.iter().zip(passes);
+        let mut touch = encoders.filter(|(encoder, _)| encoder.kind == EncoderKind::Touch);
+        let (_, pass) = touch.next()?;
+        Some((self.layout.contact.as_ref()?, pass.a.last()?))
+    }
+
     /// Contact maps of all tactile differences, planes of cells by channel; empty without what reads
     /// them.
     pub(super) fn contact_maps(&self, passes: &[EncoderPass]) -> Vec<f32> {
-        let encoders = self.layout.encoders.iter().zip(passes);
-        let mut touch = encoders.filter(|(encoder, _)| encoder.kind == EncoderKind::Touch);
-        let last = touch.next().and_then(|(_, pass)| pass.a.last());
-        let (Some([weight, bias]), Some(last)) = (&self.layout.contact, last) else {
+        let Some(([weight, bias], last)) = self.contact_layer(passes) else {
             return Vec::new();
         };
         let found = linear(last, self.values(weight), self.values(bias), false);

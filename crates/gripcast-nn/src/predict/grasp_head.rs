@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::BoostedTrees;
 use super::contract::{CONTACT_CELLS, CONTACT_CHANNELS, GEOMETRY, Modality};
+use super::part;
 use gripcast_base::error::{Error, Result};
 
 /// Metadata key of the grasp head.
@@ -159,15 +160,9 @@ impl GraspHead {
     /// # Errors
     /// `Input`: it is damaged.
     pub fn from_metadata(text: &str) -> Result<Self> {
-        let refused = |what: &str| {
-            let what = format!("invalid `{METADATA}` of the model{what}");
-            Error::input(what).remedy("train or export the model again")
-        };
-        let found: Self = serde_json::from_str(text).map_err(|e| refused("").because(e))?;
-        match found.estimators.iter().all(GraspEstimator::is_usable) {
-            true => Ok(found),
-            false => Err(refused(": expected finite numbers, as many as features")),
-        }
+        part::read(METADATA, text, |head: &Self| {
+            head.estimators.iter().all(GraspEstimator::is_usable)
+        })
     }
 
     /// Serialises the head for the metadata of a model.

@@ -10,6 +10,7 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
 use super::BoostedTrees;
+use super::part;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{ObjectMotion, TactileDifference};
 use gripcast_shear::{ExpectedMarkers, GelMotion, LiftImage, ShearTracker};
@@ -164,18 +165,11 @@ impl LiftHead {
     /// # Errors
     /// `Input`: it is damaged.
     pub fn from_metadata(text: &str) -> Result<Self> {
-        let refused = |what: &str| {
-            let what = format!("invalid `{METADATA}` of the model{what}");
-            Error::input(what).remedy("train or export the model again")
-        };
-        let found: Self = serde_json::from_str(text).map_err(|e| refused("").because(e))?;
-        let with_object = found.with_object.as_ref();
-        let is_usable = found.gels.is_usable(FEATURES)
-            && with_object.is_none_or(|estimator| estimator.is_usable(FEATURES_WITH_OBJECT));
-        match is_usable {
-            true => Ok(found),
-            false => Err(refused(": expected finite numbers, as many as features")),
-        }
+        part::read(METADATA, text, |head: &Self| {
+            let with_object = head.with_object.as_ref();
+            head.gels.is_usable(FEATURES)
+                && with_object.is_none_or(|estimator| estimator.is_usable(FEATURES_WITH_OBJECT))
+        })
     }
 
     /// Serialises the head for the metadata of a model.

@@ -26,6 +26,7 @@ mod live;
 mod native_engine;
 pub mod onnx;
 pub mod ood;
+mod part;
 mod points;
 mod smoothing;
 mod tensors;

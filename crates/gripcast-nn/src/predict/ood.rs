@@ -10,8 +10,9 @@ use std::array;
 
 use serde::{Deserialize, Serialize};
 
+use super::part;
 use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
-use gripcast_base::error::{Error, Result};
+use gripcast_base::error::Result;
 use gripcast_base::linear::Cholesky;
 use gripcast_imaging::TactileDifference;
 
@@ -232,15 +233,7 @@ impl OodDetector {
     /// # Errors
     /// `Input` for invalid metadata.
     pub fn from_metadata(text: &str) -> Result<Self> {
-        let refused = |what: &str| {
-            let what = format!("invalid `{METADATA}` of the model{what}");
-            Error::input(what).remedy("train or export the model again")
-        };
-        let found: Self = serde_json::from_str(text).map_err(|e| refused("").because(e))?;
-        match found.is_usable() {
-            true => Ok(found),
-            false => Err(refused(": expected finite numbers, as many as features")),
-        }
+        part::read(METADATA, text, Self::is_usable)
     }
 
     /// Serialises the detector for the metadata of a model.
